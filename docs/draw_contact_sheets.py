@@ -23,7 +23,7 @@ from camctl.captures.response_preview import preview_responses
 from camctl.photographs.merge import merge
 from camctl.photographs.photograph_set import PhotographOptions
 from camctl.pictures.drawing import MARGIN, SMALL_TEXT, Drawing
-from sim.scenes.scene import scene_names
+from camctl.sim.scenes.scene import scene_names
 
 SENSORS = {"outdoor-sun": "security", "pwm-lamp": "security", "stars": "ccd"}
 COUNT = 4

@@ -20,19 +20,19 @@ import numpy as np
 import camctl
 from camctl.errors import CamctlError
 from camctl.interface.camera import Camera
+from camctl.menu import camera_job
+from camctl.menu.camera_job import CameraJob
+from camctl.menu.data import CameraEntry, Choice, Cost, Past, Progress, Settings
+from camctl.menu.drawing import Pixels, draw, text_picture
+from camctl.menu.entries import CUSTOM, choice
+from camctl.menu.layout import grid
+from camctl.menu.machine import choices
+from camctl.menu.model import Goal, Model, State
+from camctl.menu.screens import screen
+from camctl.menu.tables import STATES, Work
+from camctl.menu.worker import failure_text
 from camctl.records import REPORT
 from camctl.system.picture_operations import png
-from menu import camera_job
-from menu.camera_job import CameraJob
-from menu.data import CameraEntry, Choice, Cost, Past, Progress, Settings
-from menu.drawing import Pixels, draw, text_picture
-from menu.entries import CUSTOM, choice
-from menu.layout import grid
-from menu.machine import choices
-from menu.model import Goal, Model, State
-from menu.screens import screen
-from menu.tables import STATES, Work
-from menu.worker import failure_text
 
 FOLDER = Path(__file__).parent.absolute() / "pictures/menu"
 GAP = 6

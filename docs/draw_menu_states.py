@@ -8,7 +8,7 @@ The file holds the source of the drawing, so that a test can tell whether it is 
 import subprocess
 from pathlib import Path
 
-from menu.diagram import diagram
+from camctl.menu.diagram import diagram
 
 PICTURE = Path(__file__).parent / "pictures" / "menu-states.svg"
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sim.render import Renderer
-from sim.scenes.scene import load_scene
-from sim.scenes.view import View
-from sim.sensors.sensor import load_sensor
+from camctl.sim.render import Renderer
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.scenes.view import View
+from camctl.sim.sensors.sensor import load_sensor
 
 TIMES_S = {
     "ball": 0.02,

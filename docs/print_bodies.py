@@ -13,7 +13,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from sim.devices.ptp.body_facts import bodies
+from camctl.sim.devices.ptp.body_facts import bodies
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 from ptp_bodies import row

@@ -8,17 +8,17 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from camctl.errors import CamctlError
+from camctl.menu.data import Summary
+from camctl.menu.entries import SAVERS, seconds
+from camctl.menu.machine import step
+from camctl.menu.model import Model, State
+from camctl.menu.ports import Job, Key, Panel, PanelDisconnectedError
+from camctl.menu.screens import screen
+from camctl.menu.service import ServiceNotifier
+from camctl.menu.tables import STATES, Event, Outcome, Start
+from camctl.menu.worker import Worker
 from camctl.messages.command_line import error_hint
 from camctl.system.interrupts import uninterrupted
-from menu.data import Summary
-from menu.entries import SAVERS, seconds
-from menu.machine import step
-from menu.model import Model, State
-from menu.ports import Job, Key, Panel, PanelDisconnectedError
-from menu.screens import screen
-from menu.service import ServiceNotifier
-from menu.tables import STATES, Event, Outcome, Start
-from menu.worker import Worker
 
 _log = logging.getLogger(__name__)
 

@@ -23,10 +23,8 @@ from camctl.exposure.goal import AUTO, CaptureRequest
 from camctl.interface.backends import list_cameras
 from camctl.interface.camera import Camera, Frame, PreviewingCamera
 from camctl.interface.controls import ExposureSetting
-from camctl.messages.menu import error_text
-from camctl.system.memory import return_free_memory
-from menu.capture_list import list_captures, next_folder
-from menu.data import (
+from camctl.menu.capture_list import list_captures, next_folder
+from camctl.menu.data import (
     CameraEntry,
     Choice,
     Cost,
@@ -38,9 +36,11 @@ from menu.data import (
     Settings,
     Summary,
 )
-from menu.settings_file import load_settings, save_settings
-from menu.thumbnails import frame_histogram, frame_picture
-from menu.views import entry_of, needed_bytes, plan_view, progress_view, summary_view
+from camctl.menu.settings_file import load_settings, save_settings
+from camctl.menu.thumbnails import frame_histogram, frame_picture
+from camctl.menu.views import entry_of, needed_bytes, plan_view, progress_view, summary_view
+from camctl.messages.menu import error_text
+from camctl.system.memory import return_free_memory
 
 if TYPE_CHECKING:  # the idle menu does not load what captures are made with
     from camctl.records.capture_plan import CapturePlan
@@ -53,7 +53,7 @@ _Result = TypeVar("_Result")
 
 
 class CameraJob:
-    """A `menu.ports.Job` on a camera.
+    """A `camctl.menu.ports.Job` on a camera.
 
     Args:
         open_camera: opens a camera by its id

@@ -12,9 +12,9 @@ from datetime import datetime
 from pathlib import Path
 
 from camctl.errors import CamctlError
+from camctl.menu.data import Past
 from camctl.records import REPORT
 from camctl.system.input_files import read_own_file
-from menu.data import Past
 
 _NUMBERED = re.compile(r"capture-(\d{4,7})(?:-\d{8}-\d{6})?", re.ASCII)
 _FIRST_YEAR = 2026

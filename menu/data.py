@@ -13,14 +13,14 @@ class Settings:
     """What is kept from one start to the next; the defaults are those of a request.
 
     Attributes:
-        response: index of the entry of `menu.entries.RESPONSES`
-        range: index of the entry of `menu.entries.RANGES`
-        stops: index of the entry of `menu.entries.STOPS`, for the custom range
-        count: index of the entry of `menu.entries.COUNTS`
-        budget: index of the entry of `menu.entries.BUDGETS`
-        timer: index of the entry of `menu.entries.TIMERS`
-        saver: index of the entry of `menu.entries.SAVERS`
-        mains: index of the entry of `menu.entries.MAINS`
+        response: index of the entry of `camctl.menu.entries.RESPONSES`
+        range: index of the entry of `camctl.menu.entries.RANGES`
+        stops: index of the entry of `camctl.menu.entries.STOPS`, for the custom range
+        count: index of the entry of `camctl.menu.entries.COUNTS`
+        budget: index of the entry of `camctl.menu.entries.BUDGETS`
+        timer: index of the entry of `camctl.menu.entries.TIMERS`
+        saver: index of the entry of `camctl.menu.entries.SAVERS`
+        mains: index of the entry of `camctl.menu.entries.MAINS`
         camera: id of the camera that was chosen last; "": the camera of the command line
     """
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from menu.model import Action, Model, State
-from menu.ports import Key
-from menu.tables import STATES, TRANSITIONS, Kind, Symbol
+from camctl.menu.model import Action, Model, State
+from camctl.menu.ports import Key
+from camctl.menu.tables import STATES, TRANSITIONS, Kind, Symbol
 
 KEYS = {
     Kind.LIST: ("enter: take", "exit: back", "up/down: select"),
@@ -56,7 +56,7 @@ def states_page() -> str:
             "# States of the menu",
             "",
             "This page and its diagram are generated from the tables of the menu:",
-            "`python -m menu.diagram > docs/reference/menu-states.md` and",
+            "`python -m camctl.menu.diagram > docs/reference/menu-states.md` and",
             "`python docs/draw_menu_states.py`.",
             "",
             "An arrow names what causes the transition: a key in capitals, a button or the entry "

@@ -9,11 +9,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.menu.data import Picture
+from camctl.menu.layout import arranged, best, binned, button_texts, hidden_buttons_mark
+from camctl.menu.ports import Mood, Screen
+from camctl.menu.text import fit, wrap
 from camctl.system.characters import coverage
-from menu.data import Picture
-from menu.layout import arranged, best, binned, button_texts, hidden_buttons_mark
-from menu.ports import Mood, Screen
-from menu.text import fit, wrap
 
 Pixels: TypeAlias = NDArray[np.uint8]
 """(rows, columns, 3), R, G, B."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from camctl.menu.data import Choice, Cost, Settings
+from camctl.menu.model import Action, Goal, Model, State
+from camctl.menu.tables import STATES
+from camctl.menu.text import format_levels, format_short_time
 from camctl.system.number_text import range_text
-from menu.data import Choice, Cost, Settings
-from menu.model import Action, Goal, Model, State
-from menu.tables import STATES
-from menu.text import format_levels, format_short_time
 
 #: Share of a point's time that its plan may take: the light is metered again, with noise.
 _AGAIN = 1.02

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from menu.ports import Line, Screen
-from menu.text import fit, wrap
+from camctl.menu.ports import Line, Screen
+from camctl.menu.text import fit, wrap
 
 SMALLEST = (16, 2)
 """(columns, rows) of the smallest panel that the menu can be shown on."""

@@ -1,8 +1,8 @@
-"""The state machine of the menu, which follows the tables of `menu.tables`.
+"""The state machine of the menu, which follows the tables of `camctl.menu.tables`.
 
 `step` alone leads from one `Model` to the next.  It is a pure function: work to be done is returned
-as an effect, and its outcome comes in again as an event.  ``python -m menu.diagram`` prints the
-tables as the page docs/reference/menu-states.md.
+as an effect, and its outcome comes in again as an event.  ``python -m camctl.menu.diagram`` prints
+the tables as the page docs/reference/menu-states.md.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from menu.data import CameraEntry, Cost, Loaded, Plan, Progress, Reading, Settings, Summary
-from menu.entries import CHANGEABLE, KEPT, TIMERS, choice, requested, rows, seconds
-from menu.model import Action, Goal, Model, State
-from menu.ports import Key
-from menu.tables import (
+from camctl.menu.data import CameraEntry, Cost, Loaded, Plan, Progress, Reading, Settings, Summary
+from camctl.menu.entries import CHANGEABLE, KEPT, TIMERS, choice, requested, rows, seconds
+from camctl.menu.model import Action, Goal, Model, State
+from camctl.menu.ports import Key
+from camctl.menu.tables import (
     STATES,
     TRANSITIONS,
     Cancel,

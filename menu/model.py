@@ -5,7 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum, auto
 
-from menu.data import CameraEntry, Choice, Cost, Past, Plan, Progress, Reading, Settings, Summary
+from camctl.menu.data import (
+    CameraEntry,
+    Choice,
+    Cost,
+    Past,
+    Plan,
+    Progress,
+    Reading,
+    Settings,
+    Summary,
+)
 
 
 class State(StrEnum):

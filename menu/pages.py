@@ -1,22 +1,22 @@
-"""What the pages with buttons show, but for their title and buttons; see `menu.screens`."""
+"""What the pages with buttons show, but for their title and buttons; see `camctl.menu.screens`."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import camctl
-from camctl.system.number_text import range_text
-from menu.data import Plan, Summary
-from menu.entries import RESPONSES, requested
-from menu.model import Model
-from menu.ports import Line, Screen
-from menu.text import (
+from camctl.menu.data import Plan, Summary
+from camctl.menu.entries import RESPONSES, requested
+from camctl.menu.model import Model
+from camctl.menu.ports import Line, Screen
+from camctl.menu.text import (
     format_bytes,
     format_levels,
     format_percent,
     format_ratio,
     format_short_time,
 )
+from camctl.system.number_text import range_text
 
 BLANK = Screen(Line(("",)))
 

@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Protocol, Self
 
 from camctl.errors import CamctlError
-from menu.data import (
+from camctl.menu.data import (
     CameraEntry,
     Choice,
     Cost,
@@ -105,7 +105,8 @@ class Panel(Protocol):
     A panel is a context manager: entering opens it, leaving closes it and restores what it changed.
     A third-party panel is named in the entry-point group ``camctl.panels``: a callable that takes
     the part of ``--panel NAME:ADDRESS`` after the colon, or nothing.  Panels of characters arrange
-    a screen with `menu.layout.grid`, panels of pixels draw it with `menu.drawing.draw`.
+    a screen with `camctl.menu.layout.grid`, panels of pixels draw it with
+    `camctl.menu.drawing.draw`.
 
     All methods raise `PanelDisconnectedError` when the panel was unplugged; the menu then closes it
     and opens it again until that succeeds.  Any other error ends the menu.

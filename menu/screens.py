@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from camctl.menu import pages
+from camctl.menu.data import Cost
+from camctl.menu.diagram import KEYS
+from camctl.menu.entries import RESPONSES, TIMERS, requested, rows, seconds
+from camctl.menu.machine import choices, selected
+from camctl.menu.model import Action, Goal, Model, State
+from camctl.menu.ports import Line, Mood, Screen
+from camctl.menu.tables import STATES, Kind
+from camctl.menu.text import format_levels, format_short_time, format_total, gain_in_words
 from camctl.system.number_text import range_text
-from menu import pages
-from menu.data import Cost
-from menu.diagram import KEYS
-from menu.entries import RESPONSES, TIMERS, requested, rows, seconds
-from menu.machine import choices, selected
-from menu.model import Action, Goal, Model, State
-from menu.ports import Line, Mood, Screen
-from menu.tables import STATES, Kind
-from menu.text import format_levels, format_short_time, format_total, gain_in_words
 
 #: Text of a waiting screen until there is progress to show.
 _WAITING = {

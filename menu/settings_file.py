@@ -9,10 +9,10 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from camctl.errors import CamctlError, DataError
+from camctl.menu.data import Settings
+from camctl.menu.entries import KEPT
 from camctl.system.files import make_folder, storage_error, write_bytes
 from camctl.system.input_files import read_own_file
-from menu.data import Settings
-from menu.entries import KEPT
 
 VERSION = 2
 """Version of the file's format; files of another version are not read."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from typing import TypeAlias
 
-from menu.model import Action, State
-from menu.ports import Key, Mood
+from camctl.menu.model import Action, State
+from camctl.menu.ports import Key, Mood
 
 
 class Outcome(Enum):
@@ -42,7 +42,7 @@ class Event:
 
 
 class Work(Enum):
-    """The kinds of work, each a method of `menu.ports.Job`."""
+    """The kinds of work, each a method of `camctl.menu.ports.Job`."""
 
     LOAD = auto()
     OPEN = auto()

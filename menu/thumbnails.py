@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from camctl.errors import DataError
 from camctl.interface.camera import Frame
 from camctl.interface.controls import Layout
+from camctl.menu.data import Picture
 from camctl.system.picture_operations import png_pixels
-from menu.data import Picture
 
 COLUMNS, ROWS = 240, 180
 """Size of a small picture at most, pixels."""

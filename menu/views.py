@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from camctl.interface.camera import CameraInfo
 from camctl.interface.controls import ExposureControls, ExposureSetting, Layout
+from camctl.menu.data import CameraEntry, Plan, Progress, Summary
+from camctl.menu.text import format_exact_time
+from camctl.menu.thumbnails import preview_picture
 from camctl.messages.menu import finding_text
-from menu.data import CameraEntry, Plan, Progress, Summary
-from menu.text import format_exact_time
-from menu.thumbnails import preview_picture
 
 if TYPE_CHECKING:  # the idle menu does not load what captures are made with
     from camctl.captures.sequence import Progress as CaptureProgress

@@ -7,11 +7,11 @@ import threading
 from collections.abc import Callable
 
 from camctl.errors import CamctlError, InterruptedCaptureError
+from camctl.menu.data import Choice, Past, Plan, Settings
+from camctl.menu.ports import Job
+from camctl.menu.tables import Cancel, Effect, Event, Outcome, Start, Work
 from camctl.messages.menu import error_text
 from camctl.system.interrupts import uninterrupted
-from menu.data import Choice, Past, Plan, Settings
-from menu.ports import Job
-from menu.tables import Cancel, Effect, Event, Outcome, Start, Work
 
 _STOP_WAIT_S = 10.0
 """Time that the camera has to finish its frame after the menu has ended, s."""

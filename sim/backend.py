@@ -12,10 +12,10 @@ from camctl.errors import CameraNotFoundError
 from camctl.interface.backends import BackendOptions, FrameShape
 from camctl.interface.camera import CameraInfo
 from camctl.interface.clock import Clock, RealClock, VirtualClock
-from sim.camera import SimulatedCamera
-from sim.faults import Faults, fault_fields
-from sim.scenes.scene import DEFAULT_SCENE, Scene, check_shape, load_scene, scene_of
-from sim.sensors.sensor import DEFAULT_SENSOR, load_sensor
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.faults import Faults, fault_fields
+from camctl.sim.scenes.scene import DEFAULT_SCENE, Scene, check_shape, load_scene, scene_of
+from camctl.sim.sensors.sensor import DEFAULT_SENSOR, load_sensor
 
 
 def _scene_value(value: object) -> object:

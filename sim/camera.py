@@ -20,6 +20,15 @@ from camctl.interface.camera import CameraBase, CameraInfo, Frame, MeasuredDelay
 from camctl.interface.clock import Clock, VirtualClock
 from camctl.interface.controls import ExposureControls, ExposureSetting, ResponseOrigin
 from camctl.profiles.profile import load_profile
+from camctl.sim.effects.budget import FramePlan
+from camctl.sim.effects.record import Shot as RenderedShot
+from camctl.sim.faults import Faults as Faults
+from camctl.sim.faults import corrupted
+from camctl.sim.render import Comparison, Renderer
+from camctl.sim.scenes.scene import Scene
+from camctl.sim.scenes.view import View, photons_per_unit
+from camctl.sim.sensors.sensor import Sensor
+from camctl.sim.streaming_device import Buffer, SimulatedDevice, Slot
 from camctl.streaming import (
     ControlDelay,
     DelayOrigin,
@@ -31,15 +40,6 @@ from camctl.streaming import (
     resting_setting,
     with_delay,
 )
-from sim.effects.budget import FramePlan
-from sim.effects.record import Shot as RenderedShot
-from sim.faults import Faults as Faults
-from sim.faults import corrupted
-from sim.render import Comparison, Renderer
-from sim.scenes.scene import Scene
-from sim.scenes.view import View, photons_per_unit
-from sim.sensors.sensor import Sensor
-from sim.streaming_device import Buffer, SimulatedDevice, Slot
 
 #: Time without a frame, beyond the time that the frame itself takes, after which the camera counts
 #: as failed.
@@ -57,7 +57,7 @@ class SimulatedCamera(CameraBase):
 
     Args:
         scene: frames have the scene's size
-        sensor: see `sim.sensors.sensor.Sensor`
+        sensor: see `camctl.sim.sensors.sensor.Sensor`
         clock: virtual by default, so that nothing waits
         seed: of all noise; the same seed, settings and calls give the same frames
         faults: of the hardware
@@ -66,7 +66,7 @@ class SimulatedCamera(CameraBase):
             nothing out: an average over a bracket of interleaved exposures shows far less than one
             level, and a tolerance of more than 0.05 would distort it.
         repeat_noise: every frame has the noise of frame 0, so that it depends on its exposure
-            alone, as with `sim.devices.common.VirtualSensor`
+            alone, as with `camctl.sim.devices.common.VirtualSensor`
         is_unknown: the camera states neither response, noise nor sensitivity, and its control delay
             is taken from its profile
 

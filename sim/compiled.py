@@ -2,7 +2,8 @@
 
 Each function below is one pass over a tile.  `load` compiles them with numba, which keeps the
 machine code beside this file or in the user's cache.  Arithmetic is float32 throughout, in the
-order in which `sim.noise` and `sim.render` do it with numpy, and neither contracted nor reordered.
+order in which `camctl.sim.noise` and `camctl.sim.render` do it with numpy, and neither contracted
+nor reordered.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ def _add_noise(
 ) -> None:
     """Add entries of `table` (65,536), chosen by the 16-bit parts of the words of SFC64.
 
-    With `is_photon_noise` they are the normal numbers of `sim.noise.TileNoise.add_photon_noise`.
+    With `is_photon_noise` they are the normal numbers of
+    `camctl.sim.noise.TileNoise.add_photon_noise`.
     """
     a, b, c, counter = state[0], state[1], state[2], state[3]
     z = np.empty(_BLOCK, np.float32)

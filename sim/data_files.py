@@ -53,7 +53,7 @@ def built_in_files(folder: str) -> dict[str, str]:
     """Return the text of the JSON files in a folder of the package `sim`, by their names."""
     return {
         item.name.removesuffix(".json"): item.read_text(encoding="utf-8")
-        for item in (resources.files("sim") / folder).iterdir()
+        for item in (resources.files("camctl.sim") / folder).iterdir()
         if item.name.endswith(".json")
     }
 

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.compiled import Kernels
-from sim.photon_counts import poisson_quantiles
+from camctl.sim.compiled import Kernels
+from camctl.sim.photon_counts import poisson_quantiles
 
 TILE = 1 << 18
 """Samples in a tile; the frame of a seed depends on it.

@@ -1,7 +1,7 @@
 """Whole Poisson numbers by inversion, for sensors whose read noise does not hide single electrons.
 
 Each number is a function of its mean and of one uniform number, and never decreases with the mean:
-another mean changes it no more than `sim.effects.bounds` says.
+another mean changes it no more than `camctl.sim.effects.bounds` says.
 """
 
 from __future__ import annotations

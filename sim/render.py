@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 
 from camctl.errors import UsageError
 from camctl.interface.camera import Pixels
-from sim.compiled import KernelChoice
-from sim.effects import EFFECTS
-from sim.effects.budget import FramePlan, check_tolerance, plan_frame
-from sim.effects.record import Effect, RowTiming, Shot, Stage, Tile
-from sim.frame_cache import CACHE_BYTES, FrameCache
-from sim.noise import TILE, TileNoise
-from sim.scenes.view import Light, View, sample
-from sim.sensors.curve import LevelLookup
-from sim.sensors.sensor import Sensor
+from camctl.sim.compiled import KernelChoice
+from camctl.sim.effects import EFFECTS
+from camctl.sim.effects.budget import FramePlan, check_tolerance, plan_frame
+from camctl.sim.effects.record import Effect, RowTiming, Shot, Stage, Tile
+from camctl.sim.frame_cache import CACHE_BYTES, FrameCache
+from camctl.sim.noise import TILE, TileNoise
+from camctl.sim.scenes.view import Light, View, sample
+from camctl.sim.sensors.curve import LevelLookup
+from camctl.sim.sensors.sensor import Sensor
 
-_MAX_THREADS = 2  # measured, see `sim.noise.TILE`
+_MAX_THREADS = 2  # measured, see `camctl.sim.noise.TILE`
 
 #: Plans that are kept: more than a capture has exposures.
 _PLANS = 64
@@ -65,15 +65,15 @@ class Renderer:
 
     Args:
         view: the scene as the sensor sees it
-        sensor: see `sim.sensors.sensor.Sensor`
+        sensor: see `camctl.sim.sensors.sensor.Sensor`
         seed: of all noise and of the sensor's fixed patterns
         threads: 1 or 2
         tolerance_dn: largest allowed change of any sample of a frame before the ADC by leaving
             effects out; 0 leaves out only what changes no bit
         cache_bytes: memory for what is the same in every frame: the light of a scene without a
             moving target behind the lens, PRNU, DSNU and hot pixels; frames do not depend on it
-        compiled: whether the functions of `sim.compiled` are used, see `KernelChoice` there; frames
-            do not depend on it
+        compiled: whether the functions of `camctl.sim.compiled` are used, see `KernelChoice` there;
+            frames do not depend on it
 
     Raises:
         UsageError: a seed or a tolerance out of range
@@ -112,7 +112,7 @@ class Renderer:
         start_s: float = 0.0,
         previous_s: float | None = None,
     ) -> Shot:
-        """Return an exposure; see `sim.effects.record.Shot` for the arguments."""
+        """Return an exposure; see `camctl.sim.effects.record.Shot` for the arguments."""
         return Shot(self._view, self._sensor, self._seed, time_s, gain, number, start_s, previous_s)
 
     def plan(self, shot: Shot, *, share: float = 1.0) -> FramePlan:

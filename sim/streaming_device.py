@@ -1,7 +1,7 @@
 """The hardware of a streaming camera: slots, a late control register, and a short queue of frames.
 
 The device has no list of exposures and does not report which exposure a frame had: to know that is
-the task of the driver (`sim.camera`).  Like a V4L2 camera it
+the task of the driver (`camctl.sim.camera`).  Like a V4L2 camera it
 
 - streams one frame slot after another, each as long as the frame interval or the exposure,
   whichever is longer; exposures end with their slot;
@@ -22,7 +22,7 @@ from camctl.errors import CameraDisconnectedError
 from camctl.interface.camera import Pixels
 from camctl.interface.clock import Clock
 from camctl.interface.controls import ExposureSetting
-from sim.sensors.sensor import Sensor
+from camctl.sim.sensors.sensor import Sensor
 
 #: Finished frames that wait for the consumer at most: the default number of V4L2 buffers in OpenCV.
 QUEUE = 4

@@ -199,10 +199,6 @@ def _shortened(line: str) -> str:
 
 def _describe(error: BaseException) -> tuple[int, str, str, str]:
     """Return the exit status, type name, message and hint of an error; each text is one line."""
-    if isinstance(error, ImportError):
-        from camctl.interface.backends import shadowing_error
-
-        error = shadowing_error(error) or error
     error = resource_error(error) or error
     kind = type(error).__name__
     if isinstance(error, CamctlError):

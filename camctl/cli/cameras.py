@@ -37,7 +37,7 @@ def cameras(context: click.Context, probe: bool, udev_rules: bool, as_json: bool
     """
     if udev_rules:
         options.refuse_together(context, "--udev-rules", {"probe", "as_json"})
-        from drivers.common.usb import UDEV_RULES
+        from camctl.drivers.common.usb import UDEV_RULES
 
         print_text(UDEV_RULES.rstrip("\n"))
         return

@@ -31,10 +31,10 @@ from camctl.model.noise import NoiseModel
 from camctl.profiles.profile import Profile
 from camctl.records.journal import SeriesJournal
 from camctl.records.report_json import report_schema
+from camctl.sim.render import Comparison
 from camctl.studies.capture_study import CapturePoint, CaptureRun
 from camctl.studies.simulation_study import SimulationPoint, SimulationRun
 from camctl.studies.solver_study import SolverPoint, SolverRun
-from sim.render import Comparison
 
 _CLOSED = ConfigDict(extra="forbid")
 Version = Literal[1]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
     from camctl.interface.camera import Camera
-    from menu.ports import Panel
+    from camctl.menu.ports import Panel
 
 # As in `camctl.interface.backends`, which imports numpy.
 CAMERAS, PANELS = "camctl.cameras", "camctl.panels"
@@ -69,9 +69,9 @@ def menu(
     from camctl.system.memory import use_little_memory
 
     use_little_memory()
+    from camctl.menu.app import run
+    from camctl.menu.ports import Job
     from camctl.profiles import calibrated
-    from menu.app import run
-    from menu.ports import Job
 
     def open_camera(camera_id: str) -> tuple[Camera, dict[str, Any]]:
         if not camera_id or camera_id == camera.camera_id:
@@ -79,7 +79,7 @@ def menu(
         return calibrated.open_camera(camera_id), {"camera": camera_id, "options": {}}
 
     def make_job() -> Job:
-        from menu.camera_job import CameraJob
+        from camctl.menu.camera_job import CameraJob
 
         wanted = request.request()
         return CameraJob(open_camera, parent, _settings_path(settings), request=wanted)

@@ -144,17 +144,15 @@ def logged_warnings() -> Iterator[None]:
 
     handler = logging.Handler(logging.INFO)
     handler.emit = emit  # type: ignore[method-assign]
-    loggers = [logging.getLogger(name) for name in ("camctl", "drivers", "menu", "sim")]
-    levels = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.INFO)
-        logger.addHandler(handler)
+    logger = logging.getLogger("camctl")
+    level = logger.level
+    logger.setLevel(logging.INFO)
+    logger.addHandler(handler)
     try:
         yield
     finally:
-        for logger, level in zip(loggers, levels, strict=True):
-            logger.removeHandler(handler)
-            logger.setLevel(level)
+        logger.removeHandler(handler)
+        logger.setLevel(level)
 
 
 FORMAT_VERSION = 1

@@ -87,7 +87,7 @@ def _built_in_names(folder: str) -> list[str]:
     """Return the names of the JSON files in a folder of the package `sim`."""
     from importlib import resources
 
-    files = (resources.files("sim") / folder).iterdir()
+    files = (resources.files("camctl.sim") / folder).iterdir()
     return sorted(file.name.removesuffix(".json") for file in files if file.name.endswith(".json"))
 
 

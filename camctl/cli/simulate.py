@@ -40,9 +40,9 @@ from camctl.errors import unknown_name
 if TYPE_CHECKING:
     from camctl.interface.camera import Frame
     from camctl.interface.controls import Control
-    from sim.camera import SimulatedCamera
-    from sim.effects.budget import Decision, FramePlan
-    from sim.render import Comparison
+    from camctl.sim.camera import SimulatedCamera
+    from camctl.sim.effects.budget import Decision, FramePlan
+    from camctl.sim.render import Comparison
 
 SUFFIXES = (".tiff", ".tif", ".png", ".npy")
 DEFAULT_SENSOR = "complete"
@@ -166,7 +166,7 @@ def simulate(
     times_s = settings.requested_times()
     files = _check_files(output, len(times_s), force=force)
     from camctl.profiles.calibrated import open_camera
-    from sim.camera import SimulatedCamera
+    from camctl.sim.camera import SimulatedCamera
 
     camera_options = scenery.camera_options() | {"tolerance": tolerance_dn}
     texts = {name: str(value) for name, value in camera_options.items()}

@@ -8,13 +8,10 @@ A package adds a camera by naming a `CameraBackend` class in the entry-point gro
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, entry_points
-from pathlib import Path
 from typing import Annotated, Any, Protocol, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
@@ -24,9 +21,6 @@ from camctl.interface.camera import Camera, CameraInfo
 
 CAMERAS = "camctl.cameras"
 PANELS = "camctl.panels"
-
-#: The packages of this distribution; a folder of the user may have the same name.
-OWN_PACKAGES = ("drivers", "menu", "sim")
 
 #: Modules of the standard library that exist on Linux (and other POSIX systems) only.
 _POSIX_MODULES = frozenset({"curses", "fcntl", "grp", "pwd", "resource", "termios", "tty"})
@@ -135,15 +129,6 @@ def load(group: str, kind: str, name: str) -> Any:
 def _load_error(kind: str, point: EntryPoint, error: Exception) -> UsageError:
     """Return the error for an entry point that cannot be loaded, with the probable reason."""
     missing = error.name if isinstance(error, ImportError) else None
-    package = point.module.partition(".")[0]
-    in_package = missing is None or missing.partition(".")[0] == package
-    if in_package and (shadowing := shadowing_path(package)) is not None:
-        owner = f" of {point.dist.name}" if point.dist is not None else ""
-        return UsageError(
-            f"{kind} '{point.name}' cannot be loaded: {shadowing} shadows the package "
-            f"{package}{owner}",
-            hint="run from another folder or rename it",
-        )
     if missing in _POSIX_MODULES:
         return UsageError(
             f"{kind} '{point.name}' needs Linux: this Python has no module {missing}",
@@ -153,38 +138,6 @@ def _load_error(kind: str, point: EntryPoint, error: Exception) -> UsageError:
         f"{kind} '{point.name}' cannot be loaded: {error}",
         hint="install the packages that it needs",
     )
-
-
-def shadowing_error(error: ImportError) -> UsageError | None:
-    """Return the error that names what shadows a package of camctl; None if nothing does.
-
-    `error` was raised by an import within camctl's own distribution.
-    """
-    package = (error.name or "").partition(".")[0]
-    if package not in OWN_PACKAGES or (shadowing := shadowing_path(package)) is None:
-        return None
-    return UsageError(
-        f"{error.name} cannot be loaded: {shadowing} shadows the package {package} of camctl",
-        hint="run from another folder or rename it",
-    )
-
-
-def shadowing_path(package: str) -> str | None:
-    """Return the first of several modules called `package` on the path; None where there is one.
-
-    In the working directory it is written "./NAME".
-    """
-    found: list[Path] = []
-    for entry in sys.path:
-        spec = PathFinder.find_spec(package, [entry])
-        if spec is None or spec.origin is None:
-            continue  # a folder without __init__.py hides no package
-        file = Path(spec.origin).resolve()
-        found.append(file.parent if file.name == "__init__.py" else file)
-    if len(set(found)) < 2:
-        return None
-    working = Path.cwd().resolve()
-    return f"./{found[0].name}" if found[0].parent == working else str(found[0])
 
 
 def is_local(camera_id: str, options: Mapping[str, Any]) -> bool:

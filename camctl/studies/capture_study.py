@@ -35,6 +35,8 @@ from camctl.model.noise import NoiseModel
 from camctl.model.response.desired import DesiredResponse
 from camctl.profiles.calibrated import open_camera, with_profile
 from camctl.records.capture_plan import CapturePlan
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.sensors.parts import Lens
 from camctl.studies.bracket_methods import FRONT, Bracket, bracket_settings, check_base
 from camctl.studies.scene_errors import (
     BINS,
@@ -46,8 +48,6 @@ from camctl.studies.scene_errors import (
     native_samples,
     scene_truth,
 )
-from sim.camera import SimulatedCamera
-from sim.sensors.parts import Lens
 
 SIMULATED = "sim"
 

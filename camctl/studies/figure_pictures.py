@@ -141,7 +141,7 @@ def _contours(axes: Axes, report: CaptureReport) -> None:
 
 def changed_file(kind: str, name: str, folder: Path, **changes: Any) -> str:
     """Write a built-in sensor or scene with some changes to a file; return its path."""
-    text = (resources.files("sim") / kind / f"{name}.json").read_text("utf-8")
+    text = (resources.files("camctl.sim") / kind / f"{name}.json").read_text("utf-8")
     path = folder / f"{name}-changed.json"
     path.write_text(json.dumps(json.loads(text) | changes), "utf-8")
     return str(path)

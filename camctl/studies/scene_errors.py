@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from camctl.model.response.desired import DesiredResponse
 from camctl.pictures.render import FULL_CODE, colour_of
 from camctl.records.report import CaptureReport
-from sim.camera import SimulatedCamera
-from sim.scenes.view import View
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.scenes.view import View
 
 BINS = 64
 """Parts of u that count alike; a part with fewer than `_FEWEST` samples is left out."""

@@ -20,7 +20,7 @@ from camctl.captures.metering import MeteringFrames, meter
 from camctl.errors import UsageError
 from camctl.interface.controls import ExposureSetting
 from camctl.profiles.calibrated import open_camera
-from sim.camera import SimulatedCamera
+from camctl.sim.camera import SimulatedCamera
 
 if TYPE_CHECKING:
     from camctl.interface.camera import Camera, Frame

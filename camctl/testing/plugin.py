@@ -14,9 +14,9 @@ It is installed with camctl.  A test that asks for the fixture gets an open came
 
 The marker's arguments are the options of the simulated camera: `scene`, `sensor`, `seed`, `size`
 (WIDTHxHEIGHT), `tolerance`, `time` and `faults`, a dict such as ``{"unplug_after": 2}`` with fields
-of `sim.camera.Faults`.  A marker on a test adds to one on its class or module.  With the same
-options and calls the frames are the same, sample by sample.  Nothing waits: a minute of exposure
-passes on the camera's own clock.
+of `camctl.sim.camera.Faults`.  A marker on a test adds to one on its class or module.  With the
+same options and calls the frames are the same, sample by sample.  Nothing waits: a minute of
+exposure passes on the camera's own clock.
 
 To run a test with several cameras, parametrise the fixture indirectly; to open several in one test,
 use the fixture `camctl_camera_factory`, which takes the options as keyword arguments::

@@ -10,6 +10,8 @@ from dataclasses import replace
 from statistics import median
 from typing import Annotated, Literal
 
+from camctl.drivers.common.known_format import FormatChangedError, KnownFormat, WrongFormatError
+from camctl.drivers.common.response_option import ResponseOptions
 from camctl.errors import DataError, StorageError
 from camctl.findings import note
 from camctl.interface.backends import LowerCase
@@ -19,8 +21,6 @@ from camctl.interface.controls import Choices, Control, ExposureControls, Respon
 from camctl.model.response.camera import named_response
 from camctl.profiles.profile import Profile, StillRecord, TimingRecord, change_profile, load_profile
 from camctl.stills.decoding import Still
-from drivers.common.known_format import FormatChangedError, KnownFormat, WrongFormatError
-from drivers.common.response_option import ResponseOptions
 
 #: Shutter time of a picture that is taken to learn the file format, s: short, with little blur.
 TEST_PICTURE_S = 0.01

@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 import usb.core
 import usb.util
 
+from camctl.drivers.common.device_holders import holding
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -20,7 +21,6 @@ from camctl.errors import (
     CameraTimeoutError,
 )
 from camctl.interface.camera import CameraInfo
-from drivers.common.device_holders import holding
 
 #: Gives the person at the machine access to still cameras, webcams and serial adapters; belongs in
 #: /etc/udev/rules.d/70-camctl.rules.  ID_USB_INTERFACES, set by udev's own rules, lists the

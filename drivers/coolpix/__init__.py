@@ -5,7 +5,7 @@ and downloads pictures; `pictures` finds them on the card; `settings` are the re
 the protocol.
 """
 
-from drivers.coolpix.backend import CoolpixBackend
-from drivers.coolpix.camera import CoolpixCamera, CoolpixOptions
+from camctl.drivers.coolpix.backend import CoolpixBackend
+from camctl.drivers.coolpix.camera import CoolpixCamera, CoolpixOptions
 
 __all__ = ["CoolpixBackend", "CoolpixCamera", "CoolpixOptions"]

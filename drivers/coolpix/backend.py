@@ -8,13 +8,13 @@ from contextlib import closing, suppress
 
 from serial.tools import list_ports
 
+from camctl.drivers.common.serial_link import SerialLink
+from camctl.drivers.coolpix.camera import CoolpixCamera, CoolpixOptions, identity
+from camctl.drivers.coolpix.sierra.packets import FIRST_SPEED
+from camctl.drivers.coolpix.sierra.session import Sierra
 from camctl.errors import CamctlError, CameraNotFoundError
 from camctl.interface.camera import CameraInfo
 from camctl.interface.clock import RealClock
-from drivers.common.serial_link import SerialLink
-from drivers.coolpix.camera import CoolpixCamera, CoolpixOptions, identity
-from drivers.coolpix.sierra.packets import FIRST_SPEED
-from drivers.coolpix.sierra.session import Sierra
 
 # All ports together have this long to answer, since listing cameras should take a second at most.
 _PROBE_S = 0.9

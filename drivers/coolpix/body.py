@@ -9,6 +9,25 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 
+from camctl.drivers.common.serial_link import SerialLink
+from camctl.drivers.coolpix.pictures import (
+    CardPicture,
+    Progress,
+    download,
+    is_next,
+    newest_picture,
+    no_picture_error,
+    wait_for_picture,
+)
+from camctl.drivers.coolpix.settings import FORMATS, CoolpixDials, read_register_or_none
+from camctl.drivers.coolpix.sierra.packets import (
+    FIRST_SPEED,
+    Action,
+    RefusedCommandError,
+    Register,
+    SessionOverError,
+)
+from camctl.drivers.coolpix.sierra.session import Sierra
 from camctl.errors import (
     CameraDisconnectedError,
     CameraError,
@@ -19,25 +38,6 @@ from camctl.interface.clock import Clock
 from camctl.interface.controls import ExposureSetting
 from camctl.stills.decoding import Still
 from camctl.stills.exif import exposure_time_s
-from drivers.common.serial_link import SerialLink
-from drivers.coolpix.pictures import (
-    CardPicture,
-    Progress,
-    download,
-    is_next,
-    newest_picture,
-    no_picture_error,
-    wait_for_picture,
-)
-from drivers.coolpix.settings import FORMATS, CoolpixDials, read_register_or_none
-from drivers.coolpix.sierra.packets import (
-    FIRST_SPEED,
-    Action,
-    RefusedCommandError,
-    Register,
-    SessionOverError,
-)
-from drivers.coolpix.sierra.session import Sierra
 
 # How long the camera may take to write a picture to its card.
 _WRITING_S = 10.0
@@ -86,11 +86,11 @@ class CoolpixBody:
 
     Args:
         url: the line, see `SerialLink`
-        file_format: a name in `drivers.coolpix.settings.FORMATS`
+        file_format: a name in `camctl.drivers.coolpix.settings.FORMATS`
         speed: the highest speed to use, baud
         timeout_s: see `Sierra`
         clock: of timestamps, and for all waiting
-        progress: see `drivers.coolpix.pictures.Progress`
+        progress: see `camctl.drivers.coolpix.pictures.Progress`
 
     Raises:
         UsageError, CameraNotFoundError, CameraBusyError, CameraTimeoutError: it cannot be opened

@@ -7,6 +7,12 @@ from typing import Annotated, Literal
 
 from pydantic import field_validator
 
+from camctl.drivers.common.response_option import ResponseOptions
+from camctl.drivers.common.still_camera import StillTimes
+from camctl.drivers.coolpix.body import CoolpixBody, Shot
+from camctl.drivers.coolpix.pictures import KnownFiles, Progress
+from camctl.drivers.coolpix.sierra.packets import SPEEDS, RefusedCommandError, Register
+from camctl.drivers.coolpix.sierra.session import Sierra
 from camctl.findings import note
 from camctl.interface.backends import LowerCase
 from camctl.interface.camera import CameraBase, CameraInfo, Frame, OriginalFile
@@ -14,12 +20,6 @@ from camctl.interface.clock import CaptureTiming, Clock, RealClock
 from camctl.interface.controls import Choices, ExposureControls, ExposureSetting
 from camctl.model.response.camera import named_response
 from camctl.profiles.profile import StillRecord
-from drivers.common.response_option import ResponseOptions
-from drivers.common.still_camera import StillTimes
-from drivers.coolpix.body import CoolpixBody, Shot
-from drivers.coolpix.pictures import KnownFiles, Progress
-from drivers.coolpix.sierra.packets import SPEEDS, RefusedCommandError, Register
-from drivers.coolpix.sierra.session import Sierra
 
 DRIVER = "coolpix"
 _TOLERANCE = 1e-4  # the camera sets 1/60 s as 16,666 us

@@ -7,16 +7,16 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
+from camctl.drivers.common.still_camera import save_record
+from camctl.drivers.coolpix.settings import FORMATS, read_register_or_none
+from camctl.drivers.coolpix.sierra.packets import RefusedCommandError, Register
+from camctl.drivers.coolpix.sierra.session import Sierra
 from camctl.errors import CameraError, CameraProtocolError, DataError
 from camctl.interface.camera import CameraInfo
 from camctl.interface.clock import Clock
 from camctl.interface.controls import Layout
 from camctl.profiles.profile import StillRecord, load_profile
 from camctl.stills.decoding import Still, read_still
-from drivers.common.still_camera import save_record
-from drivers.coolpix.settings import FORMATS, read_register_or_none
-from drivers.coolpix.sierra.packets import RefusedCommandError, Register
-from drivers.coolpix.sierra.session import Sierra
 
 # Above any file of this camera, whose TIFF has 9.4 MB.
 _MAX_PICTURE_BYTES = 1 << 26

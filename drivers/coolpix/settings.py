@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from camctl.drivers.coolpix.sierra.packets import RefusedCommandError, Register
+from camctl.drivers.coolpix.sierra.session import Sierra
 from camctl.errors import CameraError, RefusedSettingError
 from camctl.interface.controls import ExposureSetting
-from drivers.coolpix.sierra.packets import RefusedCommandError, Register
-from drivers.coolpix.sierra.session import Sierra
 
 # Value of the aperture register for automatic exposure.
 _AUTOMATIC = 0

@@ -4,6 +4,6 @@
 `body` the dials and the shutter, `camera` the camera for the controller, `backend` its entry point.
 """
 
-from drivers.gphoto2.camera import Gphoto2Camera, Gphoto2Options
+from camctl.drivers.gphoto2.camera import Gphoto2Camera, Gphoto2Options
 
 __all__ = ["Gphoto2Camera", "Gphoto2Options"]

@@ -7,12 +7,12 @@ from typing import Any
 
 from pydantic import BaseModel, TypeAdapter
 
+from camctl.drivers.common.usb import PTP_MAKES
+from camctl.drivers.gphoto2.camera import DRIVER, Gphoto2Camera, Gphoto2Options
+from camctl.drivers.gphoto2.process import CameraProcess, is_installed
 from camctl.errors import CameraNotFoundError
 from camctl.interface.camera import CameraInfo
 from camctl.interface.clock import Clock, RealClock
-from drivers.common.usb import PTP_MAKES
-from drivers.gphoto2.camera import DRIVER, Gphoto2Camera, Gphoto2Options
-from drivers.gphoto2.process import CameraProcess, is_installed
 
 #: How long listing the cameras may take, s; it takes 0.2 s where nothing hangs.
 _LISTING_S = 10.0

@@ -8,10 +8,10 @@ from typing import Any
 
 from pydantic import BaseModel, TypeAdapter
 
+from camctl.drivers.gphoto2 import labels
+from camctl.drivers.gphoto2.process import CameraProcess
 from camctl.errors import CameraError, CameraProtocolError, RefusedSettingError
 from camctl.interface.controls import Choices, ExposureSetting
-from drivers.gphoto2 import labels
-from drivers.gphoto2.process import CameraProcess
 
 #: How long a busy camera is asked again to take a setting, s.
 _BUSY_S = 20.0

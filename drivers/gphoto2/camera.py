@@ -8,13 +8,7 @@ from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Annotated, Literal
 
-from camctl.errors import CameraError, CameraProtocolError
-from camctl.interface.backends import LowerCase
-from camctl.interface.camera import CameraInfo, Frame, OriginalFile
-from camctl.interface.clock import Clock, RealClock
-from camctl.interface.controls import Control, ExposureSetting
-from camctl.stills.decoding import read_still
-from drivers.common.known_format import (
+from camctl.drivers.common.known_format import (
     FORMATS,
     KnownFormat,
     WrongFormatError,
@@ -23,9 +17,15 @@ from drivers.common.known_format import (
     matched_pixels,
     saved_format,
 )
-from drivers.common.still_camera import TEST_PICTURE_S, StillCamera, StillOptions
-from drivers.gphoto2.body import Body
-from drivers.gphoto2.process import CameraProcess, FullError
+from camctl.drivers.common.still_camera import TEST_PICTURE_S, StillCamera, StillOptions
+from camctl.drivers.gphoto2.body import Body
+from camctl.drivers.gphoto2.process import CameraProcess, FullError
+from camctl.errors import CameraError, CameraProtocolError
+from camctl.interface.backends import LowerCase
+from camctl.interface.camera import CameraInfo, Frame, OriginalFile
+from camctl.interface.clock import Clock, RealClock
+from camctl.interface.controls import Control, ExposureSetting
+from camctl.stills.decoding import read_still
 
 DRIVER = "gphoto2"
 #: How long a picture may take beyond twice its exposure time, s: noise reduction takes the

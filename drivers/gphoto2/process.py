@@ -1,4 +1,4 @@
-"""The connection to a camera's process (`drivers.gphoto2.worker`), and libgphoto2's errors."""
+"""The process of a camera (`camctl.drivers.gphoto2.worker`), and the errors of libgphoto2."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from camctl.drivers.common.device_holders import holding
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -23,7 +24,6 @@ from camctl.errors import (
     CameraTimeoutError,
 )
 from camctl.interface.clock import Clock, cancelled_by, wait_for
-from drivers.common.device_holders import holding
 
 #: Silence after which the process counts as hanging, s: longer than all time-outs of libgphoto2
 #: but its time-out of a capture.
@@ -180,7 +180,7 @@ class CameraProcess:
         """Return the result of a request; a file as bytes.
 
         Args:
-            do: name of a method of `drivers.gphoto2.worker.Worker`
+            do: name of a method of `camctl.drivers.gphoto2.worker.Worker`
             silence_s: the process is ended after so long without an answer
             busy_s: how long a busy camera is asked again, with growing pauses
             arguments: of the method

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from camctl.drivers.opencv.camera import DRIVER, OpencvCamera, OpencvOptions
+from camctl.drivers.opencv.video import Address, Video
 from camctl.errors import CameraError
 from camctl.interface.camera import CameraInfo
 from camctl.interface.clock import RealClock
-from drivers.opencv.camera import DRIVER, OpencvCamera, OpencvOptions
-from drivers.opencv.video import Address, Video
 
 #: Indices that are tried with `probe`: opening one takes a second and lights the camera's lamp.
 _PROBED = range(4)

@@ -10,6 +10,15 @@ from typing import Annotated
 
 from pydantic import Field
 
+from camctl.drivers.common.response_option import ResponseOptions
+from camctl.drivers.common.stream_camera import StreamCamera
+from camctl.drivers.opencv.controls import (
+    AddressExposure,
+    Exposure,
+    FixedExposure,
+    PropertyExposure,
+)
+from camctl.drivers.opencv.video import Address, Video
 from camctl.errors import CameraProtocolError
 from camctl.findings import note
 from camctl.interface.backends import FrameShape
@@ -26,10 +35,6 @@ from camctl.streaming import (
     Written,
     mean_brightness,
 )
-from drivers.common.response_option import ResponseOptions
-from drivers.common.stream_camera import StreamCamera
-from drivers.opencv.controls import AddressExposure, Exposure, FixedExposure, PropertyExposure
-from drivers.opencv.video import Address, Video
 
 DRIVER = "opencv"
 #: Frames after a write that may still have the exposure before: four in OpenCV's buffers, and the

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from camctl.drivers.opencv.video import Video
 from camctl.errors import CameraError, RefusedSettingError, UsageError
 from camctl.interface.controls import Choices, Control, ExposureSetting, Steps
-from drivers.opencv.video import Video
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ and `shooting` take exposures and fetch their files, of the formats in `still_fo
 their containers, as `transport` states; `datasets` and `codes` are the data.
 """
 
-from drivers.ptp.backend import PtpBackend
-from drivers.ptp.camera import PtpCamera, PtpOptions
+from camctl.drivers.ptp.backend import PtpBackend
+from camctl.drivers.ptp.camera import PtpCamera, PtpOptions
 
 __all__ = ["PtpBackend", "PtpCamera", "PtpOptions"]

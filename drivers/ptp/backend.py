@@ -9,11 +9,17 @@ from typing import Any
 
 import usb.core
 
+from camctl.drivers.common.usb import (
+    PTP_MAKES,
+    has_interface,
+    no_libusb,
+    typed_usb_errors,
+    usb_identity,
+)
+from camctl.drivers.ptp.camera import PtpCamera, PtpOptions
+from camctl.drivers.ptp.usb_transport import STILL_IMAGE
 from camctl.errors import CameraNotFoundError
 from camctl.interface.camera import CameraInfo
-from drivers.common.usb import PTP_MAKES, has_interface, no_libusb, typed_usb_errors, usb_identity
-from drivers.ptp.camera import PtpCamera, PtpOptions
-from drivers.ptp.usb_transport import STILL_IMAGE
 
 # Device classes that can have a still-image interface: 0 (each interface states its class), still
 # image itself, composite devices (EF) and vendor-specific ones (FF).

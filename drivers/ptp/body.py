@@ -1,6 +1,6 @@
 """A camera body in its dialect: releases the shutter, reports events, lists its cards.
 
-The dialects are tables (`drivers.ptp.dialects`); this module performs their operations.
+The dialects are tables (`camctl.drivers.ptp.dialects`); this module performs their operations.
 """
 
 from __future__ import annotations
@@ -10,17 +10,17 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
+from camctl.drivers.ptp.codes import DEVICE_BUSY, OK, Event, Op, Prop, response_error
+from camctl.drivers.ptp.datasets import Reader, StorageInfo
+from camctl.drivers.ptp.dialects import OPENING_TRANSACTION, Hold, Source, Step
+from camctl.drivers.ptp.dials import Dial
+from camctl.drivers.ptp.maker_datasets import parse_nikon_events
+from camctl.drivers.ptp.makers import dialect_of
+from camctl.drivers.ptp.properties import Properties, unsupported_ignored
+from camctl.drivers.ptp.session import Session
+from camctl.drivers.ptp.transport import CAPTURE_S
 from camctl.errors import CameraBusyError, CameraError, CameraProtocolError
 from camctl.interface.clock import cancelled_by
-from drivers.ptp.codes import DEVICE_BUSY, OK, Event, Op, Prop, response_error
-from drivers.ptp.datasets import Reader, StorageInfo
-from drivers.ptp.dialects import OPENING_TRANSACTION, Hold, Source, Step
-from drivers.ptp.dials import Dial
-from drivers.ptp.maker_datasets import parse_nikon_events
-from drivers.ptp.makers import dialect_of
-from drivers.ptp.properties import Properties, unsupported_ignored
-from drivers.ptp.session import Session
-from drivers.ptp.transport import CAPTURE_S
 
 # Below this charge a camera that takes no picture probably lacks power, per cent.
 _LOW_BATTERY_PERCENT = 5

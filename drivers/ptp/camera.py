@@ -13,23 +13,29 @@ from typing import Any
 
 from pydantic import Field
 
+from camctl.drivers.common.known_format import KnownFormat, has_size, saved_format
+from camctl.drivers.common.still_camera import TEST_PICTURE_S, StillCamera, StillOptions
+from camctl.drivers.common.usb import device_name, usb_identity
+from camctl.drivers.ptp.body import Body
+from camctl.drivers.ptp.dialects import STANDARD
+from camctl.drivers.ptp.sequence import Dials, ExposureSequence
+from camctl.drivers.ptp.session import Session
+from camctl.drivers.ptp.shooting import Shooter
+from camctl.drivers.ptp.still_formats import (
+    CardPicture,
+    format_of,
+    is_of_model,
+    key_of,
+    newest_pictures,
+)
+from camctl.drivers.ptp.transport import CAPTURE_S, NORMAL_S, Transport
+from camctl.drivers.ptp.usb_transport import UsbTransport
 from camctl.errors import CameraError, CameraProtocolError, UsageError
 from camctl.interface.camera import CameraInfo, Frame
 from camctl.interface.clock import Clock, RealClock
 from camctl.interface.controls import Choices, Control, ExposureSetting, Steps
 from camctl.stills.decoding import Still, read_still
 from camctl.stills.exif import stated_exposure
-from drivers.common.known_format import KnownFormat, has_size, saved_format
-from drivers.common.still_camera import TEST_PICTURE_S, StillCamera, StillOptions
-from drivers.common.usb import device_name, usb_identity
-from drivers.ptp.body import Body
-from drivers.ptp.dialects import STANDARD
-from drivers.ptp.sequence import Dials, ExposureSequence
-from drivers.ptp.session import Session
-from drivers.ptp.shooting import Shooter
-from drivers.ptp.still_formats import CardPicture, format_of, is_of_model, key_of, newest_pictures
-from drivers.ptp.transport import CAPTURE_S, NORMAL_S, Transport
-from drivers.ptp.usb_transport import UsbTransport
 
 # Pictures of the card that are fetched to learn the format before a test picture is taken.
 _MAX_PICTURES_READ = 2

@@ -1,7 +1,7 @@
 """Dialects of PTP: what the standard and each maker use to set an exposure and to take a picture.
 
 This module has the form of a dialect, and the standard's (ISO 15740), which alone is published;
-the dialects of the makers are in `drivers.ptp.makers`.
+the dialects of the makers are in `camctl.drivers.ptp.makers`.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from enum import Enum
 from fractions import Fraction
 
-from drivers.ptp.codes import Op, Prop
-from drivers.ptp.dials import Scale, hundredths, iso, ten_thousandths
+from camctl.drivers.ptp.codes import Op, Prop
+from camctl.drivers.ptp.dials import Scale, hundredths, iso, ten_thousandths
 
 #: In the parameters of a step that closes the shutter: stands for the transaction that opened it.
 OPENING_TRANSACTION = -1

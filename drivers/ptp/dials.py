@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 
+from camctl.drivers.ptp.datasets import PropertyDescription
 from camctl.errors import CameraProtocolError
 from camctl.interface.controls import Choices, Control, Steps
-from drivers.ptp.datasets import PropertyDescription
 
 # Some cameras state all numbers of the data type as the range: no setting follows from it.
 _ANY_NUMBER = ((0, 0xFFFF, 1), (0, 0xFFFFFFFF, 1))

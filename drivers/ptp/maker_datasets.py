@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from drivers.ptp.codes import Event
-from drivers.ptp.datasets import (
+from camctl.drivers.ptp.codes import Event
+from camctl.drivers.ptp.datasets import (
     UINT16,
     UINT32,
     PropertyDescription,

@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from drivers.ptp.codes import NIKON_LENS, Event, Op, Prop
-from drivers.ptp.dialects import (
+from camctl.drivers.ptp.codes import NIKON_LENS, Event, Op, Prop
+from camctl.drivers.ptp.dialects import (
     EXPOSURE_INDEX,
     EXPOSURE_TIME,
     F_NUMBER,
@@ -28,7 +28,7 @@ from drivers.ptp.dialects import (
     Source,
     Step,
 )
-from drivers.ptp.dials import (
+from camctl.drivers.ptp.dials import (
     Scale,
     eos_f_number,
     eos_gain,
@@ -41,7 +41,7 @@ from drivers.ptp.dials import (
     sony_iso,
     tenths,
 )
-from drivers.ptp.maker_datasets import pack_eos_property
+from camctl.drivers.ptp.maker_datasets import pack_eos_property
 
 _AUTOMATIC_ISO = (
     "chooses its sensitivity itself",

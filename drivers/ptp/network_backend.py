@@ -8,13 +8,13 @@ from typing import Any
 
 from pydantic import field_validator
 
+from camctl.drivers.ptp.camera import PtpCamera, PtpOptions
+from camctl.drivers.ptp.network_link import PORT, Address, Connect, connect_socket
+from camctl.drivers.ptp.network_transport import Caller, NetworkTransport, guid_of_this_computer
+from camctl.drivers.ptp.transport import CAPTURE_S, NORMAL_S, Transport
 from camctl.errors import CameraNotFoundError
 from camctl.interface.camera import CameraInfo
 from camctl.interface.clock import Clock
-from drivers.ptp.camera import PtpCamera, PtpOptions
-from drivers.ptp.network_link import PORT, Address, Connect, connect_socket
-from drivers.ptp.network_transport import Caller, NetworkTransport, guid_of_this_computer
-from drivers.ptp.transport import CAPTURE_S, NORMAL_S, Transport
 
 DRIVER = "ptpip"
 

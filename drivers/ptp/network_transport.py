@@ -14,16 +14,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from socket import gethostname
 
-from camctl.errors import (
-    CameraBusyError,
-    CameraDisconnectedError,
-    CameraError,
-    CameraProtocolError,
-    CameraTimeoutError,
-)
-from camctl.interface.clock import Clock
-from drivers.ptp.network_link import Address, Connect, Packet, PacketLink
-from drivers.ptp.transport import (
+from camctl.drivers.ptp.network_link import Address, Connect, Packet, PacketLink
+from camctl.drivers.ptp.transport import (
     DATA,
     EVENT,
     MAX_STALE_CONTAINERS,
@@ -32,6 +24,14 @@ from drivers.ptp.transport import (
     Container,
     IncompleteDataError,
 )
+from camctl.errors import (
+    CameraBusyError,
+    CameraDisconnectedError,
+    CameraError,
+    CameraProtocolError,
+    CameraTimeoutError,
+)
+from camctl.interface.clock import Clock
 
 _GUID_BYTES = 16  # of a computer and of a camera
 _HAS_NO_DATA_OUT, _HAS_DATA_OUT = 1, 2  # of a command

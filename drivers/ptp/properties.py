@@ -6,6 +6,19 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 
+from camctl.drivers.ptp.codes import M_DIAL, TO_SHOOTING, Op, Prop
+from camctl.drivers.ptp.datasets import PropertyDescription, Reader, Value, pack_integer
+from camctl.drivers.ptp.dialects import Dialect, Source
+from camctl.drivers.ptp.dials import Dial, Scale, make_dial
+from camctl.drivers.ptp.maker_datasets import (
+    EosEvents,
+    pack_eos_property,
+    pack_panasonic_property,
+    parse_panasonic_property,
+    parse_panasonic_value,
+    parse_sony_properties,
+)
+from camctl.drivers.ptp.session import Session
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -14,19 +27,6 @@ from camctl.errors import (
     CameraTimeoutError,
     RefusedSettingError,
 )
-from drivers.ptp.codes import M_DIAL, TO_SHOOTING, Op, Prop
-from drivers.ptp.datasets import PropertyDescription, Reader, Value, pack_integer
-from drivers.ptp.dialects import Dialect, Source
-from drivers.ptp.dials import Dial, Scale, make_dial
-from drivers.ptp.maker_datasets import (
-    EosEvents,
-    pack_eos_property,
-    pack_panasonic_property,
-    parse_panasonic_property,
-    parse_panasonic_value,
-    parse_sony_properties,
-)
-from drivers.ptp.session import Session
 
 # How long bodies of Canon and Sony may take to show a setting that they have accepted, and the
 # pause between two readings.

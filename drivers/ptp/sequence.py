@@ -12,6 +12,12 @@ from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 
+from camctl.drivers.common.known_format import KnownFormat, checked_exposure, matched_pixels
+from camctl.drivers.common.still_camera import StillTimes
+from camctl.drivers.ptp.body import Body
+from camctl.drivers.ptp.dials import Dial
+from camctl.drivers.ptp.shooting import ExposureRequest, PendingExposure, Shooter, Shot
+from camctl.drivers.ptp.transport import NORMAL_S
 from camctl.errors import (
     CameraError,
     CameraProtocolError,
@@ -23,12 +29,6 @@ from camctl.interface.clock import cancelled_by
 from camctl.interface.controls import ExposureSetting
 from camctl.stills.decoding import read_still
 from camctl.system.interrupts import uninterrupted
-from drivers.common.known_format import KnownFormat, checked_exposure, matched_pixels
-from drivers.common.still_camera import StillTimes
-from drivers.ptp.body import Body
-from drivers.ptp.dials import Dial
-from drivers.ptp.shooting import ExposureRequest, PendingExposure, Shooter, Shot
-from drivers.ptp.transport import NORMAL_S
 
 # Largest error of a bulb exposure, s; the load of the computer decides how precisely it is held.
 _MAX_BULB_ERROR_S = 0.25

@@ -11,15 +11,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from camctl.errors import (
-    CamctlError,
-    CameraDisconnectedError,
-    CameraError,
-    CameraProtocolError,
-    CameraTimeoutError,
-)
-from camctl.interface.clock import Clock
-from drivers.ptp.codes import (
+from camctl.drivers.ptp.codes import (
     ALL_STORES,
     DEVICE_BUSY,
     OK,
@@ -28,8 +20,22 @@ from drivers.ptp.codes import (
     Op,
     response_error,
 )
-from drivers.ptp.datasets import DeviceInfo, ObjectInfo, PropertyDescription, Reader, StorageInfo
-from drivers.ptp.transport import DATA, NORMAL_S, Container, IncompleteDataError, Transport
+from camctl.drivers.ptp.datasets import (
+    DeviceInfo,
+    ObjectInfo,
+    PropertyDescription,
+    Reader,
+    StorageInfo,
+)
+from camctl.drivers.ptp.transport import DATA, NORMAL_S, Container, IncompleteDataError, Transport
+from camctl.errors import (
+    CamctlError,
+    CameraDisconnectedError,
+    CameraError,
+    CameraProtocolError,
+    CameraTimeoutError,
+)
+from camctl.interface.clock import Clock
 
 #: Size of objects whose size does not fit 32 bits or is not known.
 UNKNOWN_SIZE = 0xFFFFFFFF
@@ -164,7 +170,7 @@ class Session:
 
         Raises:
             CameraBusyError: the camera stayed busy for `busy_s`
-            CameraError: any other response; see `drivers.ptp.codes.response_error`
+            CameraError: any other response; see `camctl.drivers.ptp.codes.response_error`
         """
         deadline_s = self.clock.now() + (self._busy_s if busy_s is None else busy_s)
         pause_s, attempts = _FIRST_PAUSE_S, _ATTEMPTS if repeatable else 1

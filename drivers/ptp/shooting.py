@@ -11,16 +11,16 @@ import math
 from contextlib import suppress
 from dataclasses import dataclass
 
+from camctl.drivers.common.known_format import WrongFormatError
+from camctl.drivers.ptp.body import Body
+from camctl.drivers.ptp.codes import DEVICE_BUSY, FOLDER
+from camctl.drivers.ptp.datasets import ObjectInfo
+from camctl.drivers.ptp.session import UNKNOWN_SIZE
+from camctl.drivers.ptp.still_formats import FileKey, format_of, key_of
+from camctl.drivers.ptp.transport import CAPTURE_S, NORMAL_S
 from camctl.errors import CameraBusyError, CameraError, CameraProtocolError, CameraTimeoutError
 from camctl.interface.clock import check_cancelled
 from camctl.interface.controls import ExposureSetting
-from drivers.common.known_format import WrongFormatError
-from drivers.ptp.body import Body
-from drivers.ptp.codes import DEVICE_BUSY, FOLDER
-from drivers.ptp.datasets import ObjectInfo
-from drivers.ptp.session import UNKNOWN_SIZE
-from drivers.ptp.still_formats import FileKey, format_of, key_of
-from drivers.ptp.transport import CAPTURE_S, NORMAL_S
 
 # Handles are listed beside events: first this long after the exposure, then less and less often,
 # since the list of a full card is long.
@@ -185,8 +185,8 @@ class Shooter:
 
         Args:
             exposure: the exposure
-            format_name: one of `drivers.common.known_format.FORMATS`; None: the first file of any
-                format
+            format_name: one of `camctl.drivers.common.known_format.FORMATS`; None: the first file
+                of any format
 
         Raises:
             CameraTimeoutError: no file appeared within twice the exposure time and `silence_s`, or

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import PurePath
 from typing import TypeAlias
 
+from camctl.drivers.common.known_format import FORMATS, format_of_name
+from camctl.drivers.ptp.body import Body
+from camctl.drivers.ptp.datasets import ObjectInfo
 from camctl.errors import CameraProtocolError
-from drivers.common.known_format import FORMATS, format_of_name
-from drivers.ptp.body import Body
-from drivers.ptp.datasets import ObjectInfo
 
 # Object formats of ISO 15740, section 6.2 (0x38..), and of makers (0xB1..).
 _CODES: dict[int, str] = {

@@ -18,22 +18,14 @@ from typing import Any, TypeAlias
 import usb.core
 import usb.util
 
-from camctl.errors import (
-    CameraDisconnectedError,
-    CameraError,
-    CameraNotFoundError,
-    CameraProtocolError,
-    CameraTimeoutError,
-)
-from camctl.interface.clock import Clock
-from drivers.common.usb import (
+from camctl.drivers.common.usb import (
     InterfaceKind,
     claim_interface,
     find_endpoint,
     find_interface,
     typed_usb_errors,
 )
-from drivers.ptp.transport import (
+from camctl.drivers.ptp.transport import (
     DATA,
     EVENT,
     MAX_PARAMETERS,
@@ -43,6 +35,14 @@ from drivers.ptp.transport import (
     Container,
     IncompleteDataError,
 )
+from camctl.errors import (
+    CameraDisconnectedError,
+    CameraError,
+    CameraNotFoundError,
+    CameraProtocolError,
+    CameraTimeoutError,
+)
+from camctl.interface.clock import Clock
 
 Bytes: TypeAlias = "bytes | memoryview | array[int]"
 

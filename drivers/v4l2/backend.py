@@ -8,12 +8,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from camctl.drivers.v4l2.camera import V4l2Camera, V4l2Options
+from camctl.drivers.v4l2.kernel import Kernel
+from camctl.drivers.v4l2.node import Node
+from camctl.drivers.v4l2.system import DRIVER, camera_info, node_paths
 from camctl.errors import CameraError, CameraNotFoundError
 from camctl.interface.camera import CameraInfo
-from drivers.v4l2.camera import V4l2Camera, V4l2Options
-from drivers.v4l2.kernel import Kernel
-from drivers.v4l2.node import Node
-from drivers.v4l2.system import DRIVER, camera_info, node_paths
 
 
 class V4l2Backend:

@@ -1,8 +1,8 @@
 """Webcams and machine-vision cameras through Video4Linux.
 
-Frames come from buffers that the kernel fills (`drivers.v4l2.capture`), controls, formats and names
-through ioctls (`drivers.v4l2.node`).  `camctl.streaming` assigns exposures to frames by the frames'
-timestamps and sequence numbers.
+Frames come from buffers that the kernel fills (`camctl.drivers.v4l2.capture`), controls, formats
+and names through ioctls (`camctl.drivers.v4l2.node`).  `camctl.streaming` assigns exposures to
+frames by the frames' timestamps and sequence numbers.
 """
 
 from __future__ import annotations
@@ -13,6 +13,13 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, StringConstraints
 
+from camctl.drivers.common.stream_camera import StreamCamera
+from camctl.drivers.v4l2.capture import Capture, StreamMode, choose_mode
+from camctl.drivers.v4l2.controls import ExposureControl, GainUnit, parse_gain
+from camctl.drivers.v4l2.formats import SampleScale, choose_format, sample_scale
+from camctl.drivers.v4l2.kernel import Kernel
+from camctl.drivers.v4l2.node import Node
+from camctl.drivers.v4l2.system import camera_info
 from camctl.errors import CameraProtocolError
 from camctl.findings import note
 from camctl.interface.backends import BackendOptions, FrameShape, LowerCase
@@ -27,13 +34,6 @@ from camctl.streaming import (
     TimestampedStream,
     mean_brightness,
 )
-from drivers.common.stream_camera import StreamCamera
-from drivers.v4l2.capture import Capture, StreamMode, choose_mode
-from drivers.v4l2.controls import ExposureControl, GainUnit, parse_gain
-from drivers.v4l2.formats import SampleScale, choose_format, sample_scale
-from drivers.v4l2.kernel import Kernel
-from drivers.v4l2.node import Node
-from drivers.v4l2.system import camera_info
 
 _Word = Annotated[str, StringConstraints(strip_whitespace=True, to_lower=True)]
 
@@ -47,8 +47,8 @@ class V4l2Options(BackendOptions):
     """Options of a V4L2 camera.
 
     Attributes:
-        format: a name of `drivers.v4l2.formats.FORMATS`, "bayer" for the Bayer format with the most
-            bits, or "auto" for the format of highest fidelity
+        format: a name of `camctl.drivers.v4l2.formats.FORMATS`, "bayer" for the Bayer format with
+            the most bits, or "auto" for the format of highest fidelity
         size: of a frame; None: the largest with 15 frames a second or more
         fps: frames a second; None: the fewest from 15 on that the camera offers, because no
             exposure is longer than the interval between frames

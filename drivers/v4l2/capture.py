@@ -10,6 +10,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from camctl.drivers.v4l2 import abi
+from camctl.drivers.v4l2.formats import PixelFormat
+from camctl.drivers.v4l2.kernel import Memory
+from camctl.drivers.v4l2.node import Node, Shape, SizeGrid, StreamBuffer, size_text
+from camctl.drivers.v4l2.packing import DamagedFrameError
+from camctl.drivers.v4l2.system import PLUG_IN
 from camctl.errors import (
     CameraDisconnectedError,
     CameraError,
@@ -18,12 +24,6 @@ from camctl.errors import (
     UsageError,
 )
 from camctl.interface.camera import Pixels
-from drivers.v4l2 import abi
-from drivers.v4l2.formats import PixelFormat
-from drivers.v4l2.kernel import Memory
-from drivers.v4l2.node import Node, Shape, SizeGrid, StreamBuffer, size_text
-from drivers.v4l2.packing import DamagedFrameError
-from drivers.v4l2.system import PLUG_IN
 
 #: Buffers that the kernel fills while no frame is taken: enough for the frames that are on their
 #: way to a late consumer with a control delay of 5 frames.

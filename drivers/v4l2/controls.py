@@ -7,6 +7,8 @@ import re
 from contextlib import suppress
 from dataclasses import dataclass
 
+from camctl.drivers.v4l2.abi import MANUAL_EXPOSURE, ControlId
+from camctl.drivers.v4l2.node import ControlRange, Node
 from camctl.errors import (
     CameraDisconnectedError,
     CameraError,
@@ -17,8 +19,6 @@ from camctl.errors import (
 )
 from camctl.findings import Finding, note
 from camctl.interface.controls import Choices, ExposureSetting, Steps
-from drivers.v4l2.abi import MANUAL_EXPOSURE, ControlId
-from drivers.v4l2.node import ControlRange, Node
 
 #: The unit of V4L2_CID_EXPOSURE_ABSOLUTE is 100 us.
 TICKS_PER_S = 10_000.0

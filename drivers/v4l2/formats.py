@@ -9,13 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from camctl.errors import CameraError, UsageError, unknown_name
-from camctl.findings import Finding, note
-from camctl.interface.controls import Layout, ResponseOrigin
-from camctl.model.response.camera import CameraResponse, named_response
-from drivers.v4l2 import abi
-from drivers.v4l2.abi import fourcc
-from drivers.v4l2.packing import (
+from camctl.drivers.v4l2 import abi
+from camctl.drivers.v4l2.abi import fourcc
+from camctl.drivers.v4l2.packing import (
     BITS_OF_10,
     BYTES,
     FIRST_OF_TWO,
@@ -29,6 +25,10 @@ from drivers.v4l2.packing import (
     WORDS,
     Packing,
 )
+from camctl.errors import CameraError, UsageError, unknown_name
+from camctl.findings import Finding, note
+from camctl.interface.controls import Layout, ResponseOrigin
+from camctl.model.response.camera import CameraResponse, named_response
 
 #: Black and white of limited 8-bit luma, DN (ITU-R BT.601).
 _LIMITED_BLACK, _LIMITED_WHITE = 16, 235

@@ -9,7 +9,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.v4l2.abi import Request
+from camctl.drivers.v4l2.abi import Request
 
 #: The bytes of a buffer that the kernel fills.
 Memory: TypeAlias = NDArray[np.uint8]

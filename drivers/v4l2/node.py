@@ -1,7 +1,7 @@
 """A video node: its lists, formats and controls, through ioctls on its file descriptor.
 
 The kernel grants format and stream of a node to one descriptor at a time.  A `Node` therefore sets
-neither by itself: `drivers.v4l2.capture` does.
+neither by itself: `camctl.drivers.v4l2.capture` does.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Self, TypeAlias, TypeVar
 
+from camctl.drivers.v4l2 import abi
+from camctl.drivers.v4l2.kernel import Kernel, Linux, Memory
+from camctl.drivers.v4l2.system import camera_error
 from camctl.errors import CameraError, CameraNotFoundError, CameraProtocolError
 from camctl.interface.clock import wait_for
-from drivers.v4l2 import abi
-from drivers.v4l2.kernel import Kernel, Linux, Memory
-from drivers.v4l2.system import camera_error
 
 #: (rows, columns) of a frame.
 Shape: TypeAlias = tuple[int, int]
@@ -131,7 +131,7 @@ class Node:
     """An open video node; a context manager.
 
     Raises:
-        CameraError: see `drivers.v4l2.system.camera_error`; so does every method
+        CameraError: see `camctl.drivers.v4l2.system.camera_error`; so does every method
     """
 
     def __init__(self, path: str, kernel: Kernel | None = None) -> None:

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
+from camctl.drivers.v4l2.node import Shape
 from camctl.errors import CameraError
 from camctl.interface.camera import Pixels
 from camctl.system.picture_operations import required_opencv
-from drivers.v4l2.node import Shape
 
 Bytes: TypeAlias = NDArray[np.uint8]
 

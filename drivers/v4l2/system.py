@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from camctl.drivers.common import device_holders
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -17,7 +18,6 @@ from camctl.errors import (
     CameraTimeoutError,
 )
 from camctl.interface.camera import CameraInfo
-from drivers.common import device_holders
 
 DRIVER = "v4l2"
 PLUG_IN = "plug it in and open it again"
@@ -115,7 +115,7 @@ def stable_path(path: str, root: Path = Path("/")) -> str:
 def camera_info(path: str, driver: str, card: str, root: Path = Path("/")) -> CameraInfo:
     """Return the identity of the camera at a node, from sysfs or else from the node itself.
 
-    `driver` and `card` are what the node reports, see `drivers.v4l2.node.Identity`.
+    `driver` and `card` are what the node reports, see `camctl.drivers.v4l2.node.Identity`.
     """
     usb = {name: _usb_attribute(path, name, root) for name in _ATTRIBUTES}
     # uvcvideo reports "product: product" for a camera without a shorter name.

@@ -8,9 +8,8 @@ from typing import Any, Self
 
 from camctl.errors import UsageError
 from camctl.interface.clock import Clock, RealClock
-from camctl.system.interrupts import uninterrupted
-from menu.layout import grid
-from menu.panels.cfa635_packets import (
+from camctl.menu.layout import grid
+from camctl.menu.panels.cfa635_packets import (
     BACKLIGHT,
     CLEAR,
     ERROR,
@@ -22,7 +21,8 @@ from menu.panels.cfa635_packets import (
     Packet,
     PacketReader,
 )
-from menu.ports import Key, Mood, PanelDisconnectedError, Screen
+from camctl.menu.ports import Key, Mood, PanelDisconnectedError, Screen
+from camctl.system.interrupts import uninterrupted
 
 try:
     from termios import error as TermiosError  # noqa: N812  an exception class

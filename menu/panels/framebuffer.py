@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from camctl.errors import CamctlError, UsageError
 from camctl.interface.clock import Clock, RealClock
+from camctl.menu.drawing import SMALLEST, Pixels, draw
+from camctl.menu.panels.input_keys import InputKeys
+from camctl.menu.ports import Key, Line, Mood, PanelDisconnectedError, Screen
 from camctl.system.interrupts import uninterrupted
-from menu.drawing import SMALLEST, Pixels, draw
-from menu.panels.input_keys import InputKeys
-from menu.ports import Key, Line, Mood, PanelDisconnectedError, Screen
 
 _VARIABLE, _FIXED = 0x4600, 0x4602
 """FBIOGET_VSCREENINFO and FBIOGET_FSCREENINFO of linux/fb.h."""

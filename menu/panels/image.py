@@ -9,10 +9,10 @@ from typing import Self
 
 from camctl.errors import StorageError, UsageError
 from camctl.interface.clock import Clock, RealClock
+from camctl.menu.drawing import SMALLEST, draw
+from camctl.menu.ports import Key, Screen
 from camctl.system.files import make_folder, storage_error, write_bytes
 from camctl.system.picture_operations import png
-from menu.drawing import SMALLEST, draw
-from menu.ports import Key, Screen
 
 DEFAULT_SIZE = (480, 320)
 """(columns, rows) of the pictures, pixels."""

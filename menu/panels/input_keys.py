@@ -11,7 +11,7 @@ import select
 import struct
 from contextlib import suppress
 
-from menu.ports import Key
+from camctl.menu.ports import Key
 
 _EVENT = struct.Struct("@llHHi")
 """Seconds and microseconds, type, code, value; 24 bytes on 64-bit systems."""

@@ -13,9 +13,9 @@ from contextlib import suppress
 from typing import Any, Self
 
 from camctl.errors import CamctlError, UsageError
+from camctl.menu.layout import SMALLEST, Grid, grid
+from camctl.menu.ports import Key, Screen
 from camctl.system.interrupts import uninterrupted
-from menu.layout import SMALLEST, Grid, grid
-from menu.ports import Key, Screen
 
 _LARGEST = (60, 16)
 """(columns, rows) that the menu uses in a larger terminal."""

@@ -25,12 +25,12 @@ from typing import Any, Self
 from urllib.parse import SplitResult, parse_qs, quote, unquote, urlsplit
 
 from camctl.errors import UsageError
+from camctl.menu.drawing import draw
+from camctl.menu.layout import grid
+from camctl.menu.panels.web_connections import LimitedServer
+from camctl.menu.ports import Key, Screen
 from camctl.system.interrupts import uninterrupted
 from camctl.system.picture_operations import png
-from menu.drawing import draw
-from menu.layout import grid
-from menu.panels.web_connections import LimitedServer
-from menu.ports import Key, Screen
 
 DEFAULT_PORT = 8080  # http-alt (IANA)
 SIZE = (640, 480)

@@ -1,7 +1,7 @@
-"""`python -m sim.devices`: run virtual devices; see `sim.devices.hub`."""
+"""`python -m camctl.sim.devices`: run virtual devices; see `camctl.sim.devices.hub`."""
 
 import sys
 
-from sim.devices.hub import main
+from camctl.sim.devices.hub import main
 
 sys.exit(main())

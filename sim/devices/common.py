@@ -13,10 +13,10 @@ from camctl.errors import UsageError, unknown_name
 from camctl.interface.backends import BackendOptions, FrameShape
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import Layout
-from sim.render import Renderer
-from sim.scenes.scene import DEFAULT_SCENE, Scene, load_scene
-from sim.scenes.view import View
-from sim.sensors.sensor import DEFAULT_SENSOR, Sensor, load_sensor
+from camctl.sim.render import Renderer
+from camctl.sim.scenes.scene import DEFAULT_SCENE, Scene, load_scene
+from camctl.sim.scenes.view import View
+from camctl.sim.sensors.sensor import DEFAULT_SENSOR, Sensor, load_sensor
 
 _CACHE_BYTES = 64 * 1024 * 1024  # of rendered pictures: a bracket of small ones
 
@@ -83,7 +83,7 @@ class DeviceConfig(BackendOptions):
     """The options that all virtual cameras have; each kind of camera adds its own.
 
     Attributes:
-        name, kind: of the device; for `sim.devices.hub`
+        name, kind: of the device; for `camctl.sim.devices.hub`
         scene, sensor: names or files
         size: of the picture, WIDTHxHEIGHT; None: the scene's or the sensor's own
         seed: of all noise

@@ -1,6 +1,6 @@
 """All virtual devices of a configuration in one process, controlled through a socket.
 
-    python -m sim.devices --dir DIRECTORY CONFIG.json
+    python -m camctl.sim.devices --dir DIRECTORY CONFIG.json
 
 CONFIG.json holds ``{"devices": [{"name": "cam0", "kind": "uvc", ...}]}``; the other options of a
 device depend on its kind.  USB devices are attached to the kernel's virtual host controller; a
@@ -27,10 +27,10 @@ from typing import Any, TypeAlias
 from pydantic_core import from_json
 
 from camctl.errors import CamctlError, CameraTimeoutError, DataError, UsageError, unknown_name
+from camctl.sim.devices.common import Controllable
+from camctl.sim.devices.usb.device import UsbDevice
+from camctl.sim.devices.usb.vhci import VhciPort
 from camctl.system.input_files import read_input
-from sim.devices.common import Controllable
-from sim.devices.usb.device import UsbDevice
-from sim.devices.usb.vhci import VhciPort
 
 CONTROL = "ctl"
 _LONGEST_LINE = 64 * 1024  # bytes; no control command comes near
@@ -40,10 +40,10 @@ MakeDevice: TypeAlias = Callable[[Mapping[str, Any]], Controllable]
 
 #: Modules by kind of device; each has a function `make(config)`.
 KINDS: Mapping[str, str] = {
-    "uvc": "sim.devices.uvc.camera",
-    "ptp": "sim.devices.ptp.camera",
-    "ptpip": "sim.devices.ptp.network",
-    "sierra": "sim.devices.sierra.device",
+    "uvc": "camctl.sim.devices.uvc.camera",
+    "ptp": "camctl.sim.devices.ptp.camera",
+    "ptpip": "camctl.sim.devices.ptp.network",
+    "sierra": "camctl.sim.devices.sierra.device",
 }
 _SERIAL_KINDS = ("sierra",)
 
@@ -179,7 +179,7 @@ def run(directory: Path, config: Path, stop: threading.Event) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a hub until it is interrupted or terminated; return the exit status."""
     parser = argparse.ArgumentParser(
-        prog="python -m sim.devices", description="Run virtual cameras until interrupted."
+        prog="python -m camctl.sim.devices", description="Run virtual cameras until interrupted."
     )
     parser.add_argument("--dir", type=Path, required=True, help="folder for the control socket")
     parser.add_argument("config", type=Path, help="JSON file that lists the devices")

@@ -9,9 +9,9 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
-from sim.devices.clock import DeviceClock, ScheduledCall
-from sim.devices.common import VirtualSensor
-from sim.devices.still_files import SUFFIXES, RawImage, encode, thumbnail
+from camctl.sim.devices.clock import DeviceClock, ScheduledCall
+from camctl.sim.devices.common import VirtualSensor
+from camctl.sim.devices.still_files import SUFFIXES, RawImage, encode, thumbnail
 
 CARD_BYTES = 256 * 1024 * 1024  # 256 MB, a usual size of CompactFlash cards
 BULB_MAX_S = 120.0  # a bulb exposure that no host ends stops by itself

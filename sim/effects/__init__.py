@@ -1,15 +1,15 @@
-"""The effects of a simulated sensor; each is one record, see `sim.effects.record.Effect`."""
+"""The effects of a simulated sensor; each is one record, see `camctl.sim.effects.record.Effect`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
 from camctl.errors import unknown_name
-from sim.effects.charge import CHARGE, PIXELS
-from sim.effects.dark import DARK
-from sim.effects.optics import OPTICS
-from sim.effects.readout import READ_OUT
-from sim.effects.record import Effect
+from camctl.sim.effects.charge import CHARGE, PIXELS
+from camctl.sim.effects.dark import DARK
+from camctl.sim.effects.optics import OPTICS
+from camctl.sim.effects.readout import READ_OUT
+from camctl.sim.effects.record import Effect
 
 __all__ = ["EFFECTS", "check_names", "effect_names"]
 

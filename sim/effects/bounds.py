@@ -38,10 +38,10 @@ from functools import cached_property
 
 import numpy as np
 
-from sim.effects import EFFECTS
-from sim.effects.lens import rounding_count
-from sim.effects.record import LARGEST_NOISE, Change, Shot, Stage
-from sim.photon_counts import COUNT_ERROR_E, LARGEST_COUNT_NOISE
+from camctl.sim.effects import EFFECTS
+from camctl.sim.effects.lens import rounding_count
+from camctl.sim.effects.record import LARGEST_NOISE, Change, Shot, Stage
+from camctl.sim.photon_counts import COUNT_ERROR_E, LARGEST_COUNT_NOISE
 
 _ULP = 2.0**-23  # twice the unit of rounding in float32, for the two frames
 _TILE_OPERATIONS, _ADC_OPERATIONS = 24, 6  # roundings of charge, and from charge to brightness

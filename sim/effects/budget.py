@@ -9,9 +9,9 @@ from functools import cached_property
 from typing import Any
 
 from camctl.errors import UsageError
-from sim.effects import EFFECTS, check_names
-from sim.effects.bounds import Bounds
-from sim.effects.record import Effect, Shot
+from camctl.sim.effects import EFFECTS, check_names
+from camctl.sim.effects.bounds import Bounds
+from camctl.sim.effects.record import Effect, Shot
 
 
 @dataclass(frozen=True)

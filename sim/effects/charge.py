@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.effects.record import (
+from camctl.sim.effects.record import (
     LARGEST_NOISE,
     Change,
     Effect,
@@ -18,7 +18,7 @@ from sim.effects.record import (
     Stage,
     Tile,
 )
-from sim.noise import Stream
+from camctl.sim.noise import Stream
 
 Hits = tuple[NDArray[np.int64], NDArray[np.float32]]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.effects.record import LARGEST_NOISE, Change, Effect, Light, Shot, Stage, Tile
-from sim.noise import PATTERN, Stream
+from camctl.sim.effects.record import LARGEST_NOISE, Change, Effect, Light, Shot, Stage, Tile
+from camctl.sim.noise import PATTERN, Stream
 
 
 def _grown_s(shot: Shot) -> float:

@@ -8,13 +8,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.sim.effects.record import Change, Effect, Light, Shot, Stage
 from camctl.system.picture_operations import (
     enlarged_smoothly,
     reduced_by_area,
     required_opencv,
     smoothed,
 )
-from sim.effects.record import Change, Effect, Light, Shot, Stage
 
 _GLARE_SAMPLES_PER_SIGMA = 2.5
 """Glare is computed at this many samples a standard deviation, enough for a smooth Gaussian."""

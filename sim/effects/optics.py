@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from camctl.sim.effects.lens import LENS, glare_bend
+from camctl.sim.effects.record import Change, Effect, Light, Lines, RowTiming, Shot, Stage
+from camctl.sim.scenes.motion import Lamps, PwmLamps
 from camctl.system.picture_operations import correlated
-from sim.effects.lens import LENS, glare_bend
-from sim.effects.record import Change, Effect, Light, Lines, RowTiming, Shot, Stage
-from sim.scenes.motion import Lamps, PwmLamps
 
 _ROUNDED_SWING = 2.0**-26  # 1 plus or minus less than this is 1 in float32
 _STEADY = "over this exposure the light of the lamps averages out"

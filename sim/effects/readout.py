@@ -4,8 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.effects.record import LARGEST_NOISE, Change, Effect, Lines, RowTiming, Shot, Stage, Tile
-from sim.noise import PATTERN, Stream, line_noise
+from camctl.sim.effects.record import (
+    LARGEST_NOISE,
+    Change,
+    Effect,
+    Lines,
+    RowTiming,
+    Shot,
+    Stage,
+    Tile,
+)
+from camctl.sim.noise import PATTERN, Stream, line_noise
 
 _SETS_BRIGHTNESS = "never left out: it determines brightness"
 

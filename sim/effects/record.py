@@ -1,8 +1,8 @@
 """The record that describes an effect, and the exposure that it acts on.
 
-A frame is made in the stages of `Stage`.  Nothing outside the table `sim.effects.EFFECTS` knows an
-effect by its name: what `sim.render` must do for it is a field of its `Effect`, and what
-`sim.effects.bounds` must know of it is a field of its `Change`.
+A frame is made in the stages of `Stage`.  Nothing outside the table `camctl.sim.effects.EFFECTS`
+knows an effect by its name: what `camctl.sim.render` must do for it is a field of its `Effect`, and
+what `camctl.sim.effects.bounds` must know of it is a field of its `Change`.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.frame_cache import FrameCache
-from sim.noise import PATTERN, TILE, Stream, TileNoise, largest_noise
-from sim.photon_counts import READ_NOISE_THAT_HIDES_COUNTS_E
-from sim.scenes.view import Statistics, View
-from sim.sensors.sensor import Sensor
+from camctl.sim.frame_cache import FrameCache
+from camctl.sim.noise import PATTERN, TILE, Stream, TileNoise, largest_noise
+from camctl.sim.photon_counts import READ_NOISE_THAT_HIDES_COUNTS_E
+from camctl.sim.scenes.view import Statistics, View
+from camctl.sim.sensors.sensor import Sensor
 
 Light: TypeAlias = NDArray[np.float32]
 
@@ -50,7 +50,7 @@ class Stage(IntEnum):
 
 @dataclass(frozen=True)
 class Change:
-    """What `sim.effects.bounds` must know of an effect in one exposure.
+    """What `camctl.sim.effects.bounds` must know of an effect in one exposure.
 
     The first group limits what leaving the effect out changes in any sample:
 

@@ -1,1 +1,1 @@
-"""Scenes for simulated sensors: see `sim.scenes.scene`.  The JSON files are the built-in ones."""
+"""Scenes for simulated sensors (`camctl.sim.scenes.scene`).  The JSON files are built in."""

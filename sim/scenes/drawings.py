@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.model.response.camera import srgb_to_linear
-from sim.scenes.charts import grey_steps, outdoor_sun, slanted_edge
-from sim.scenes.night import night_street, stars
+from camctl.sim.scenes.charts import grey_steps, outdoor_sun, slanted_edge
+from camctl.sim.scenes.night import night_street, stars
 
 Light = NDArray[np.float32]
 
@@ -273,7 +273,7 @@ def wall(rows: int, columns: int) -> Light:
 
 
 def wheel(height: int) -> tuple[Light, Light]:
-    """Return a wheel of black and white sectors for `sim.scenes.motion.Target`.
+    """Return a wheel of black and white sectors for `camctl.sim.scenes.motion.Target`.
 
     Its light and its cover, both (height, height).
     """

@@ -1,4 +1,4 @@
-"""Drawings of scenes at night: a street with lamps, and stars; see `sim.scenes.drawings`."""
+"""Drawings of scenes at night: a street with lamps, and stars; see `camctl.sim.scenes.drawings`."""
 
 from __future__ import annotations
 

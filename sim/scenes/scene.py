@@ -14,9 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from camctl.errors import DataError, UsageError, unknown_name
-from camctl.stills.radiance_map import SUFFIXES, read_map, read_shape
-from camctl.system.input_files import exists
-from sim.data_files import (
+from camctl.sim.data_files import (
     FileModel,
     PictureShape,
     Positive,
@@ -25,8 +23,10 @@ from sim.data_files import (
     read_file,
     read_text,
 )
-from sim.scenes.drawings import DRAWINGS, wheel
-from sim.scenes.motion import Lamps, PwmLamps, Target
+from camctl.sim.scenes.drawings import DRAWINGS, wheel
+from camctl.sim.scenes.motion import Lamps, PwmLamps, Target
+from camctl.stills.radiance_map import SUFFIXES, read_map, read_shape
+from camctl.system.input_files import exists
 
 DEFAULT_SCENE = "tile-floor"
 PHOTONS = "photons per pixel per second"
@@ -132,7 +132,7 @@ def _count(bad: NDArray[np.bool_]) -> str:
 class LampsFile(FileModel):
     """Lamps in a scene file that flicker (`mains_hz`) or are switched (`pwm_hz` and `duty`).
 
-    See `sim.scenes.motion.Lamps` and `sim.scenes.motion.PwmLamps`.
+    See `camctl.sim.scenes.motion.Lamps` and `camctl.sim.scenes.motion.PwmLamps`.
     """
 
     mains_hz: Annotated[float, Field(gt=0, le=1000)] | None = None

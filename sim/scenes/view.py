@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.interface.controls import Layout
-from sim.scenes.motion import Lamps, PwmLamps, Target
-from sim.scenes.scene import PHOTONS, Scene
-from sim.sensors.sensor import Sensor
+from camctl.sim.scenes.motion import Lamps, PwmLamps, Target
+from camctl.sim.scenes.scene import PHOTONS, Scene
+from camctl.sim.sensors.sensor import Sensor
 
 Light = NDArray[np.float32]
 

@@ -1,1 +1,1 @@
-"""Simulated sensors: see `sim.sensors.sensor`.  The JSON files here are the built-in ones."""
+"""Simulated sensors (`camctl.sim.sensors.sensor`).  The JSON files are built in."""

@@ -10,7 +10,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from sim.data_files import FileModel, NotNegative, NotTiny, Positive, Share
+from camctl.sim.data_files import FileModel, NotNegative, NotTiny, Positive, Share
 
 _MOST_DOUBLINGS = 60.0  # of a dark rate between two temperatures: 1e9 x 2^60 stays finite
 

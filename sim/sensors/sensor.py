@@ -27,7 +27,7 @@ from camctl.interface.controls import (
 from camctl.model.noise import NoiseModel
 from camctl.model.response.camera import CameraResponse
 from camctl.model.response.measured import measured_response
-from sim.data_files import (
+from camctl.sim.data_files import (
     FileModel,
     NotNegative,
     NotTiny,
@@ -38,9 +38,9 @@ from sim.data_files import (
     read_file,
     read_text,
 )
-from sim.noise import largest_noise
-from sim.sensors.curve import curve_samples
-from sim.sensors.parts import Dark, Lens, Pixels, ReadOut
+from camctl.sim.noise import largest_noise
+from camctl.sim.sensors.curve import curve_samples
+from camctl.sim.sensors.parts import Dark, Lens, Pixels, ReadOut
 
 DEFAULT_SENSOR = "standard"
 
@@ -90,7 +90,8 @@ class Sensor(FileModel):
         frame_interval_s: least time from frame to frame
         spectrum: three rows, the sensor's red, green and blue as weights of the scene's red, green
             and blue; None if they are the same
-        lens, dark, pixels, read_out: see `sim.sensors.parts`; left out, their effects are absent
+        lens, dark, pixels, read_out: see `camctl.sim.sensors.parts`; left out, their effects are
+        absent
     """
 
     name: Annotated[str, StringConstraints(max_length=200)]

@@ -23,7 +23,7 @@ from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.model.effective import EffectiveCamera
 from camctl.model.response.desired import desired_response
-from sim.sensors.sensor import load_sensor
+from camctl.sim.sensors.sensor import load_sensor
 
 SENSORS = "standard,webcam,consumer,complete,phone,mobile,machine-vision,ideal-8"
 

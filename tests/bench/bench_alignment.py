@@ -24,7 +24,7 @@ from camctl.evidence.alignment import displacement
 from camctl.model.response.camera import standard_response
 from camctl.photographs.alignment import Sight
 from camctl.photographs.camera import Photograph
-from sim.scenes import charts, drawings, night
+from camctl.sim.scenes import charts, drawings, night
 
 SCENES = {
     each.__name__: each

@@ -172,9 +172,9 @@ def resident_mb() -> float:
 
 def slots() -> None:
     """Print the time of captures in virtual time, in frame slots."""
-    from sim.camera import SimulatedCamera
-    from sim.scenes.scene import load_scene
-    from sim.sensors.sensor import load_sensor
+    from camctl.sim.camera import SimulatedCamera
+    from camctl.sim.scenes.scene import load_scene
+    from camctl.sim.sensors.sensor import load_sensor
 
     scene = load_scene("tile-floor", (60, 80))
     for delay in range(6):
@@ -189,9 +189,9 @@ def slots() -> None:
 
 def real_time() -> None:
     """Print frames lost at 30 frames a second, 2 megapixels, with everything written to disk."""
-    from sim.camera import SimulatedCamera
-    from sim.scenes.scene import load_scene
-    from sim.sensors.sensor import load_sensor
+    from camctl.sim.camera import SimulatedCamera
+    from camctl.sim.scenes.scene import load_scene
+    from camctl.sim.sensors.sensor import load_sensor
 
     scene = load_scene("tile-floor", (1080, 1920))
     ratios = tuple(1 + 0.01 * k for k in range(16))

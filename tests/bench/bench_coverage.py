@@ -18,8 +18,8 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "helpers"))
 from accuracy import NEAR_SATURATION, NOMINAL, radiance_errors
 
 from camctl.exposure.goal import CaptureRequest
-from sim.scenes.scene import load_scene
-from sim.sensors.sensor import load_sensor
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import load_sensor
 
 #: Largest difference from the nominal share, and the fewest samples that show it to 1 point.
 LIMIT, LEAST_SAMPLES = 0.015, 4000

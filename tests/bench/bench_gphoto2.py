@@ -25,8 +25,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from camctl.drivers.gphoto2.camera import Gphoto2Camera
 from camctl.interface.controls import ExposureSetting
-from drivers.gphoto2.camera import Gphoto2Camera
 
 SHORT, LONG, ROUNDS = 1, 9, 3  # the virtual camera has room for 26
 LABELS = ("0.0100s", "0.1000s", "0.0050s", "1.0000s")

@@ -28,9 +28,9 @@ from camctl.interface.controls import ExposureSetting
 from camctl.records.folder_store import FolderStore
 from camctl.records.frame import StoredFrame
 from camctl.records.report import UnfinishedCapture
-from sim.camera import SimulatedCamera
-from sim.scenes.scene import load_scene
-from sim.sensors.sensor import load_sensor
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import load_sensor
 
 COUNT, SHAPE, RUNS = 8, (1080, 1920), 9
 

@@ -33,7 +33,7 @@ from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import CameraResponse
 from camctl.model.response.measured import measured_response
 from camctl.model.sensor import SensorModel
-from sim.scenes.scene import load_scene
+from camctl.sim.scenes.scene import load_scene
 
 Floats = NDArray[np.float64]
 Frames = list[NDArray[np.uint8]]

@@ -22,13 +22,13 @@ from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1] / "helpers")]
 
+from camctl.menu.drawing import draw  # noqa: E402  found by the path above
+from camctl.menu.layout import grid  # noqa: E402
+from camctl.menu.machine import step  # noqa: E402
+from camctl.menu.model import State  # noqa: E402
+from camctl.menu.ports import Key, Screen  # noqa: E402
+from camctl.menu.screens import screen  # noqa: E402
 from camctl.system.picture_operations import png  # noqa: E402
-from menu.drawing import draw  # noqa: E402  found by the path above
-from menu.layout import grid  # noqa: E402
-from menu.machine import step  # noqa: E402
-from menu.model import State  # noqa: E402
-from menu.ports import Key, Screen  # noqa: E402
-from menu.screens import screen  # noqa: E402
 from tests.menu.test_machine import FULL  # noqa: E402
 
 RUNS = 7

@@ -25,7 +25,7 @@ import numpy as np
 from camctl import CaptureRequest, PhotographOptions
 from camctl.model.response.camera import standard_response
 from camctl.photographs.merge import plan_merge
-from sim.scenes.drawings import room
+from camctl.sim.scenes.drawings import room
 
 ROWS, COLUMNS, STRIP = 4000, 6000, 500
 TIMES = tuple(4.0**k for k in range(6))

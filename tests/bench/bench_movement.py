@@ -32,9 +32,9 @@ import camctl
 from camctl.errors import CamctlError
 from camctl.interface.camera import Frame, FrameStream
 from camctl.interface.controls import ExposureControls, ExposureSetting
-from sim.camera import SimulatedCamera
-from sim.scenes.scene import Scene, load_scene, scene_names
-from sim.sensors.sensor import load_sensor, sensor_names
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.scenes.scene import Scene, load_scene, scene_names
+from camctl.sim.sensors.sensor import load_sensor, sensor_names
 
 RATIOS = (1.0, 4.0, 16.0)
 BRACKET = camctl.CaptureRequest("log", 1000.0, ratios=(1.0, 8.9, 88.0))

@@ -31,9 +31,9 @@ from camctl.calibration.noise.pairs import reduce_pair
 from camctl.calibration.noise.shooting import measure_noise
 from camctl.interface.controls import ExposureSetting, Layout
 from camctl.profiles.noise import Figure, NoiseRecord
-from sim.camera import SimulatedCamera
-from sim.scenes.scene import Scene, load_scene
-from sim.sensors.sensor import Sensor, load_sensor
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.scenes.scene import Scene, load_scene
+from camctl.sim.sensors.sensor import Sensor, load_sensor
 
 PINNED = (
     "emva1288==1.0.2",

@@ -34,11 +34,11 @@ from camctl.interface.camera import Camera
 from camctl.profiles.calibrated import with_profile
 from camctl.profiles.exposures import exposure_mode
 from camctl.profiles.profile import Profile, change_profile
-from sim.camera import SimulatedCamera
-from sim.render import Renderer
-from sim.scenes.scene import Scene, load_scene
-from sim.scenes.view import View
-from sim.sensors.sensor import Sensor, sensor_names
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.render import Renderer
+from camctl.sim.scenes.scene import Scene, load_scene
+from camctl.sim.scenes.view import View
+from camctl.sim.sensors.sensor import Sensor, sensor_names
 
 CALIBRATED_BEFORE = "tile-floor"
 ROWS = 300

@@ -20,9 +20,9 @@ import usb.core
 import usb.util
 import virtual_devices as rig
 
+from camctl.drivers.ptp.session import Session
+from camctl.drivers.ptp.usb_transport import HEADER, UsbTransport
 from camctl.interface.clock import RealClock
-from drivers.ptp.session import Session
-from drivers.ptp.usb_transport import HEADER, UsbTransport
 
 OBJECT_BYTES = 8 * 1024 * 1024
 ROUNDS = 3

@@ -24,7 +24,7 @@ import gphoto2_client
 from ptp_bench import settings_at, shoot
 
 import camctl
-from sim.devices.hub import CONTROL, Hub
+from camctl.sim.devices.hub import CONTROL, Hub
 
 # Dial labels of the virtual Nikon, which exposes exactly them.
 BRACKET = ("1/1000", "1/250", "1/60", "1/15", "1/4")
@@ -51,7 +51,7 @@ def main() -> int:
         folder = Path(name)
         config = folder / "config.json"
         config.write_text(json.dumps({"devices": [CAMERA]}))
-        command = [sys.executable, "-m", "sim.devices", "--dir", str(folder), str(config)]
+        command = [sys.executable, "-m", "camctl.sim.devices", "--dir", str(folder), str(config)]
         with subprocess.Popen(command) as devices:
             try:
                 while devices.poll() is None and not (folder / CONTROL).exists():

@@ -284,8 +284,8 @@ def stability_scenes(
     count: int, data: Path | None, shape: tuple[int, int]
 ) -> dict[str, FloatArray]:
     """Return built-in scenes, the memorial scene, and drawn scenes, (rows, columns)."""
+    from camctl.sim.scenes.drawings import DRAWINGS
     from camctl.stills.radiance_map import read_map
-    from sim.scenes.drawings import DRAWINGS
 
     rows, columns = shape
     pictures = {name: np.asarray(draw_(rows, columns)) for name, draw_ in DRAWINGS.items()}

@@ -21,7 +21,7 @@ from camctl.calibration.response.series import Series
 from camctl.errors import DataError
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray, srgb_to_linear
-from sim.scenes.drawings import DRAWINGS
+from camctl.sim.scenes.drawings import DRAWINGS
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "helpers"))
 

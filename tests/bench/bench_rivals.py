@@ -40,9 +40,9 @@ from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import desired_response
 from camctl.pictures.accumulator import Accumulator
 from camctl.profiles.calibrated import open_camera
-from sim.scenes.scene import load_scene
-from sim.scenes.view import View
-from sim.sensors.sensor import Sensor, load_sensor
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.scenes.view import View
+from camctl.sim.sensors.sensor import Sensor, load_sensor
 
 Floats = NDArray[np.floating]
 

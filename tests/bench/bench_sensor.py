@@ -24,12 +24,12 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.compiled import load
-from sim.noise import TILE, Stream, TileNoise, normal_quantiles, tile_bits
-from sim.render import Renderer
-from sim.scenes.scene import load_scene
-from sim.scenes.view import View
-from sim.sensors.sensor import Sensor, load_sensor
+from camctl.sim.compiled import load
+from camctl.sim.noise import TILE, Stream, TileNoise, normal_quantiles, tile_bits
+from camctl.sim.render import Renderer
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.scenes.view import View
+from camctl.sim.sensors.sensor import Sensor, load_sensor
 
 TIME_S = 0.01
 NAIVE = "naive Poisson + normal, float64"

@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from sim.effects.budget import FramePlan, plan_frame
-from sim.effects.record import Shot
-from sim.render import Renderer
-from sim.scenes.scene import load_scene
-from sim.scenes.view import View
-from sim.sensors.sensor import load_sensor
+from camctl.sim.effects.budget import FramePlan, plan_frame
+from camctl.sim.effects.record import Shot
+from camctl.sim.render import Renderer
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.scenes.view import View
+from camctl.sim.sensors.sensor import load_sensor
 
 SCENES = (
     "ball",

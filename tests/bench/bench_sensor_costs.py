@@ -17,14 +17,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import sim.render
-from sim.effects import EFFECTS
-from sim.effects.budget import plan_frame
-from sim.effects.record import Effect, Lines, RowTiming, Shot
-from sim.render import Renderer
-from sim.scenes.scene import load_scene
-from sim.scenes.view import View
-from sim.sensors.sensor import load_sensor
+from camctl.sim import render
+from camctl.sim.effects import EFFECTS
+from camctl.sim.effects.budget import plan_frame
+from camctl.sim.effects.record import Effect, Lines, RowTiming, Shot
+from camctl.sim.render import Renderer
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.scenes.view import View
+from camctl.sim.sensors.sensor import load_sensor
 
 #: Sensor, scene and exposure, s; together they have every effect.  Some wells overflow.
 CASES = (
@@ -93,11 +93,11 @@ def costs(case: tuple[str, str, float], rounds: int, *, compiled: bool) -> dict[
     taken: dict[str, list[float]] = defaultdict(list)
     for _ in range(rounds):
         spent = Spent()
-        vars(sim.render)["EFFECTS"] = tuple(map(spent.effect, EFFECTS))
+        vars(render)["EFFECTS"] = tuple(map(spent.effect, EFFECTS))
         try:
             renderer.expose(shot, plan)
         finally:
-            vars(sim.render)["EFFECTS"] = EFFECTS
+            vars(render)["EFFECTS"] = EFFECTS
         for effect in EFFECTS:
             if effect.name in spent.seconds:
                 samples = effect.samples(shot)

@@ -21,9 +21,9 @@ from pathlib import Path
 import cv2
 from guest_processes import wait_for
 
-from drivers.v4l2.capture import Capture, StreamMode
-from drivers.v4l2.formats import FORMATS
-from drivers.v4l2.node import Node
+from camctl.drivers.v4l2.capture import Capture, StreamMode
+from camctl.drivers.v4l2.formats import FORMATS
+from camctl.drivers.v4l2.node import Node
 
 SHAPE = (1080, 1920)
 FRAMES, ROUNDS, WARM_UP = 12, 5, 4

@@ -16,7 +16,7 @@ from camctl.calibration.results import StillTiming
 from camctl.interface.controls import ExposureSetting
 from camctl.model.response.camera import srgb_to_linear
 from camctl.profiles.folder import list_profiles
-from sim.sensors.sensor import load_sensor
+from camctl.sim.sensors.sensor import load_sensor
 
 TIMES = (1 / 64, 1 / 16, 1 / 4)
 

@@ -29,11 +29,11 @@ from camctl.findings import Detail, Finding
 from camctl.interface.camera import Frame
 from camctl.interface.controls import Choices, ExposureControls, ExposureSetting
 from camctl.profiles.profile import change_profile, load_profile
+from camctl.sim.camera import Faults, SimulatedCamera
+from camctl.sim.scenes.scene import Scene, load_scene
+from camctl.sim.sensors.sensor import Sensor, load_sensor
+from camctl.sim.streaming_device import Buffer, SimulatedDevice
 from camctl.streaming import ControlDelay
-from sim.camera import Faults, SimulatedCamera
-from sim.scenes.scene import Scene, load_scene
-from sim.sensors.sensor import Sensor, load_sensor
-from sim.streaming_device import Buffer, SimulatedDevice
 
 
 def camera(

@@ -16,10 +16,10 @@ from camctl.errors import CaptureError
 from camctl.profiles.calibrated import open_camera
 from camctl.profiles.exposures import ExposureRecord, exposure_mode
 from camctl.profiles.profile import change_profile
-from sim.camera import Faults, SimulatedCamera
-from sim.scenes.motion import Lamps
-from sim.scenes.scene import Scene
-from sim.sensors.sensor import load_sensor
+from camctl.sim.camera import Faults, SimulatedCamera
+from camctl.sim.scenes.motion import Lamps
+from camctl.sim.scenes.scene import Scene
+from camctl.sim.sensors.sensor import load_sensor
 
 OFFSET_S = 0.0005
 

@@ -17,10 +17,10 @@ from camctl.errors import CaptureError, DataError
 from camctl.interface.controls import ExposureSetting, Layout
 from camctl.model.response.camera import CameraResponse, linear_response, standard_response
 from camctl.profiles.noise import Figure, NoiseRecord
-from sim.camera import SimulatedCamera
-from sim.scenes.motion import Lamps
-from sim.scenes.scene import Scene
-from sim.sensors.sensor import load_sensor
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.scenes.motion import Lamps
+from camctl.sim.scenes.scene import Scene
+from camctl.sim.sensors.sensor import load_sensor
 
 #: An interval of 95 % has half a width of 1.96 standard errors; one of 2.5 times that is missed
 #: once in a million.

@@ -17,11 +17,11 @@ from camctl.model.response.camera import FloatArray, linear_response
 from camctl.profiles.exposures import exposure_mode
 from camctl.profiles.noise import DarkRecord, Figure, GainNoise, NoiseRecord
 from camctl.profiles.profile import Profile, change_profile
-from sim.camera import SimulatedCamera
-from sim.render import Renderer
-from sim.scenes.scene import Scene, load_scene
-from sim.scenes.view import View as SceneView
-from sim.sensors.sensor import load_sensor
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.render import Renderer
+from camctl.sim.scenes.scene import Scene, load_scene
+from camctl.sim.scenes.view import View as SceneView
+from camctl.sim.sensors.sensor import load_sensor
 
 SHAPE = (200, 240)
 

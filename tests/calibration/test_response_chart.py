@@ -16,7 +16,7 @@ from camctl.calibration.response.series import Series
 from camctl.errors import DataError
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray
-from sim.scenes.drawings import colour_chart
+from camctl.sim.scenes.drawings import colour_chart
 
 GREYS = (0.9, 0.59, 0.36, 0.2, 0.09, 0.03)
 UNEVEN = (0.08, -0.05)

@@ -16,7 +16,7 @@ from camctl.calibration.response.series import Series
 from camctl.errors import DataError
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray
-from sim.scenes.drawings import DRAWINGS
+from camctl.sim.scenes.drawings import DRAWINGS
 
 STOPS = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)
 

@@ -20,12 +20,12 @@ from camctl.model.response.camera import srgb_to_linear
 from camctl.profiles.calibrated import open_camera
 from camctl.profiles.exposures import exposure_mode
 from camctl.profiles.profile import Profile, change_profile, load_profile
+from camctl.sim.camera import Faults, SimulatedCamera
+from camctl.sim.render import Renderer
+from camctl.sim.scenes.scene import Scene
+from camctl.sim.scenes.view import View
+from camctl.sim.sensors.sensor import load_sensor
 from camctl.studies.scene_errors import measured_levels, native_samples, scene_truth
-from sim.camera import Faults, SimulatedCamera
-from sim.render import Renderer
-from sim.scenes.scene import Scene
-from sim.scenes.view import View
-from sim.sensors.sensor import load_sensor
 
 UNKNOWN = {"sensor": "consumer", "scene": "ramp", "size": "160x120", "unknown": True}
 

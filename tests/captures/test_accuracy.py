@@ -8,8 +8,8 @@ from accuracy import NEAR_SATURATION, NOMINAL, radiance_errors, sensor_without_l
 from numpy.typing import NDArray
 
 from camctl.exposure.goal import CaptureRequest
-from sim.scenes.scene import Scene, load_scene
-from sim.sensors.sensor import load_sensor
+from camctl.sim.scenes.scene import Scene, load_scene
+from camctl.sim.sensors.sensor import load_sensor
 
 
 @pytest.mark.parametrize(

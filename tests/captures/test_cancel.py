@@ -15,9 +15,9 @@ from camctl.captures.sequence import Progress
 from camctl.errors import InterruptedCaptureError
 from camctl.interface import clock as clock_module
 from camctl.interface.clock import RealClock, VirtualClock, cancelled_by, wait_for
-from sim.camera import Faults, SimulatedCamera
-from sim.scenes.scene import load_scene
-from sim.sensors.sensor import load_sensor
+from camctl.sim.camera import Faults, SimulatedCamera
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import load_sensor
 
 EXPOSURE_S = 60.0
 """Exposure that a test would wait for if it were not aborted, s."""

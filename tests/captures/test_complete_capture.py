@@ -11,9 +11,9 @@ import pytest
 import camctl
 from camctl.cli import main
 from camctl.errors import DataError
-from sim.camera import SimulatedCamera
-from sim.scenes.scene import load_scene
-from sim.sensors.sensor import load_sensor
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import load_sensor
 
 
 @pytest.fixture

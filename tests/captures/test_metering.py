@@ -27,7 +27,7 @@ from camctl.model.response.camera import standard_response
 from camctl.photographs.camera import Photograph, PhotographCamera
 from camctl.profiles.calibrated import open_camera
 from camctl.profiles.profile import change_profile
-from sim.camera import Faults
+from camctl.sim.camera import Faults
 
 
 def uniform(value: float, shape: tuple[int, int] = (40, 50)) -> NDArray[np.float32]:

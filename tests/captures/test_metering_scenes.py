@@ -13,7 +13,7 @@ import camctl
 from camctl.cli.capture_output import light_text
 from camctl.findings import Finding
 from camctl.records.capture_plan import MUCH, PlannedLight
-from sim.scenes.scene import scene_names
+from camctl.sim.scenes.scene import scene_names
 
 MOST_OUTSIDE = 0.02
 EXCEPTIONS = {

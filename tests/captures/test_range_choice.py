@@ -11,9 +11,9 @@ from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.search.front import Front, FrontPoint
 from camctl.exposure.search.ranges import STOPS
 from camctl.records.capture_plan import CapturePlan
-from sim.camera import SimulatedCamera
-from sim.scenes.scene import load_scene
-from sim.sensors.sensor import load_sensor
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import load_sensor
 
 
 def planned(request: CaptureRequest) -> CapturePlan:

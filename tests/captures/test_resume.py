@@ -20,7 +20,7 @@ from camctl.errors import (
 )
 from camctl.exposure.goal import CaptureRequest
 from camctl.records.folder_store import read_capture, read_report
-from sim.camera import Faults
+from camctl.sim.camera import Faults
 
 GIVEN = CaptureRequest("log", 1000.0, ratios=(1.0, 4.0, 16.0))
 

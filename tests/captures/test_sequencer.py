@@ -36,8 +36,8 @@ from camctl.records.capture_plan import CapturePlan
 from camctl.records.folder_store import read_capture
 from camctl.records.frame_store import KeptFiles, MemoryStore
 from camctl.records.report_json import to_json
-from sim.camera import Faults, SimulatedCamera
-from sim.effects import effect_names
+from camctl.sim.camera import Faults, SimulatedCamera
+from camctl.sim.effects import effect_names
 
 GIVEN = CaptureRequest("log", 1000.0, ratios=(1.0, 4.0, 16.0))
 LOCK = ".camctl.lock"

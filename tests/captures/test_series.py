@@ -36,8 +36,8 @@ from camctl.records.journal import (
     SetRecord,
     read_series,
 )
+from camctl.sim.camera import Faults
 from camctl.system.picture_operations import opencv
-from sim.camera import Faults
 
 pytestmark = pytest.mark.usefixtures("quick_disk")
 

@@ -14,7 +14,7 @@ from camctl.profiles.calibrated import with_profile
 from camctl.profiles.exposures import exposure_mode
 from camctl.profiles.profile import Profile, change_profile
 from camctl.records.report import CaptureReport
-from sim.camera import Faults
+from camctl.sim.camera import Faults
 
 RATIOS = (1.0, 2.0, 4.0)
 

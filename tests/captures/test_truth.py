@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from camctl.captures.sequencer import capture
 from camctl.exposure.goal import CaptureRequest
 from camctl.model.effective import EffectiveCamera
-from sim.camera import SimulatedCamera
-from sim.scenes.scene import Scene, load_scene
-from sim.sensors.sensor import Sensor, load_sensor
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.scenes.scene import Scene, load_scene
+from camctl.sim.sensors.sensor import Sensor, load_sensor
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 

@@ -17,7 +17,7 @@ from camctl.evidence.ratio_check import RatioCheck
 from camctl.exposure.goal import CaptureRequest
 from camctl.findings import Finding
 from camctl.records.report import CaptureReport
-from sim.camera import Faults
+from camctl.sim.camera import Faults
 
 MAINS = CaptureRequest("log", 4000.0, ratios=(1.0, 2.0, 4.0), mains_hz=50)
 #: A bracket as it is computed for constant contrast, without the time to compute it.

@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import camctl
+from camctl.drivers.v4l2.camera import V4l2Camera
 from camctl.exposure.search.wall_time import predicted_wall_s, wall_time_findings
 from camctl.interface.camera import Camera
 from camctl.interface.clock import CaptureTiming
@@ -29,7 +30,6 @@ from camctl.interface.controls import (
 from camctl.profiles.profile import DelayRecord, change_profile
 from camctl.records.report import CaptureReport
 from camctl.streaming.control_delay import ControlDelay, DelayOrigin
-from drivers.v4l2.camera import V4l2Camera
 
 TIMES = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06)
 

@@ -17,7 +17,7 @@ from camctl.profiles.calibrated import open_camera
 from camctl.profiles.exposures import Correction, ExposureRecord, exposure_mode
 from camctl.profiles.folder import list_profiles
 from camctl.profiles.profile import StillRecord, change_profile
-from sim.sensors.sensor import load_sensor
+from camctl.sim.sensors.sensor import load_sensor
 
 SMALL = ("-O", "size=64x48")
 STILL_CAMERA = CameraInfo("ptp:1", "Make", "Still 5", "77", "ptp")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from camctl.model.response.camera import srgb_to_linear
 from camctl.model.response.measured import read_curve
 from camctl.profiles.folder import list_profiles
-from sim.scenes.drawings import colour_chart
+from camctl.sim.scenes.drawings import colour_chart
 
 TIMES = (1 / 64, 1 / 16, 1 / 4)
 

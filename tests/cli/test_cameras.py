@@ -8,7 +8,7 @@ from command_line import Run
 from camctl.errors import CameraNotFoundError
 from camctl.interface import backends
 from camctl.interface.camera import CameraInfo
-from sim.backend import SimulatedBackend
+from camctl.sim.backend import SimulatedBackend
 
 
 def test_simulated_camera_and_its_backend_are_listed(run: Run) -> None:

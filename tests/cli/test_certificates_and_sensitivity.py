@@ -23,7 +23,7 @@ from camctl.exposure.solver import EVALUATIONS
 from camctl.model.effective import EffectiveCamera
 from camctl.model.response.camera import linear_response
 from camctl.model.response.desired import desired_response
-from sim.sensors.sensor import load_sensor
+from camctl.sim.sensors.sensor import load_sensor
 
 
 @pytest.mark.parametrize("response", ["linear", "gamma", "log"])

@@ -7,8 +7,8 @@ from command_line import Run
 
 from camctl.cli import parameter_types
 from camctl.interface.backends import CAMERAS, PANELS
-from sim.scenes.scene import scene_names
-from sim.sensors.sensor import sensor_names
+from camctl.sim.scenes.scene import scene_names
+from camctl.sim.sensors.sensor import sensor_names
 
 
 def complete(run: Run, monkeypatch: pytest.MonkeyPatch, line: str) -> list[str]:

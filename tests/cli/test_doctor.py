@@ -12,9 +12,9 @@ import pytest
 from command_line import Run
 
 from camctl.cli.doctor import checks as doctor
+from camctl.drivers.common.usb import UDEV_RULES
 from camctl.errors import CameraNotFoundError
 from camctl.interface import backends
-from drivers.common.usb import UDEV_RULES
 
 
 def install(monkeypatch: pytest.MonkeyPatch, **files: list[Path]) -> None:
@@ -127,17 +127,6 @@ def test_profiles(run: Run, own_profiles: Path) -> None:
     (own_profiles / "broken-12345678.json").write_text("{")
     found = doctor.check_profiles()
     assert (found.state, "camctl profile remove" in (found.to_do or "")) == ("problem", True)
-
-
-def test_a_folder_that_hides_a_package(
-    run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    assert run is not None  # the working directory is empty
-    Path("sim").mkdir()
-    Path("sim/__init__.py").touch()
-    monkeypatch.setattr(sys, "path", [str(Path.cwd()), *sys.path])
-    found = doctor.check_shadowing()
-    assert (found.state, "./sim" in found.found) == ("problem", True)
 
 
 @pytest.mark.parametrize("fails", [True, False])

@@ -38,7 +38,7 @@ def no_memory_in_the_c_library() -> cv2.error:
     return cv2.error("std::bad_alloc")
 
 
-FRAME = "sim.camera:SimulatedCamera._counted_frame"
+FRAME = "camctl.sim.camera:SimulatedCamera._counted_frame"
 SUM = "camctl.captures.sequence:Accumulator.accumulate"
 PREVIEW = "camctl.pictures.files:png"
 DISK_FULL = OSError(errno.ENOSPC, "No space left on device")

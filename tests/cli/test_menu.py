@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from command_line import Run
 
-import menu.app
-from menu.data import Choice, Summary
-from menu.ports import Job
+from camctl.menu import app
+from camctl.menu.data import Choice, Summary
+from camctl.menu.ports import Job
 
 SMALL = ("-O", "size=64x48")
 
@@ -42,7 +42,7 @@ def test_menu_shoots_into_the_given_folder(run: Run, monkeypatch: pytest.MonkeyP
         plan = job.plan(Choice("log", 256.0, 2), lambda: False)
         return job.shoot(plan, lambda _: None, lambda: False)
 
-    monkeypatch.setattr(menu.app, "run", shoot_at_once)
+    monkeypatch.setattr(app, "run", shoot_at_once)
     ran = run("menu", *SMALL, "-o", "pictures", "--mains", "50")
     assert ran.status == 0, ran.err
     (folder,) = Path("pictures").iterdir()

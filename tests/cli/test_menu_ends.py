@@ -15,8 +15,8 @@ MENU = """
 import sys, time
 from pathlib import Path
 from camctl.__main__ import run
-from menu.camera_job import CameraJob
-from sim.camera import SimulatedCamera
+from camctl.menu.camera_job import CameraJob
+from camctl.sim.camera import SimulatedCamera
 
 shoot, frame, stopped = CameraJob.shoot, SimulatedCamera._counted_frame, []
 

@@ -20,7 +20,7 @@ from command_line import Run
 from camctl import Layout, read_report
 from camctl.photographs.camera import flashes
 from camctl.photographs.files import PhotographFiles
-from sim.devices.still_files import RawImage, encode
+from camctl.sim.devices.still_files import RawImage, encode
 
 
 @pytest.mark.parametrize(
@@ -154,7 +154,7 @@ def test_a_profile_with_another_serial_number_is_not_that_of_the_photographs() -
 @pytest.mark.parametrize("form", ["dng", "jpeg"])
 def test_files_of_still_cameras_are_merged_by_their_exif_data(run: Run, form: str) -> None:
     from camctl.interface.controls import Layout
-    from sim.devices.still_files import RawImage, encode
+    from camctl.sim.devices.still_files import RawImage, encode
 
     rng = np.random.default_rng(3)
     names = []

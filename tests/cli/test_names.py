@@ -18,9 +18,9 @@ from camctl.errors import CameraProtocolError, visible
 from camctl.findings import note
 from camctl.interface.backends import BackendListing
 from camctl.interface.camera import CameraBase, CameraInfo
+from camctl.menu.text import fit
+from camctl.sim.camera import SimulatedCamera
 from camctl.stills.decoding import read_still
-from menu.text import fit
-from sim.camera import SimulatedCamera
 
 NAME = "red \x1b[31m two\nlines \u202edlo \x9b7m \x7f bell\x07"
 SHOWN = r"red \x1b[31m two\nlines \u202edlo \x9b7m \x7f bell\x07"
@@ -82,7 +82,7 @@ def test_output_folder_is_visible(run: Run) -> None:
 
 
 def test_name_of_a_sensor_and_its_camera_is_visible(run: Run) -> None:
-    file = resources.files("sim") / "sensors" / "standard.json"
+    file = resources.files("camctl.sim") / "sensors" / "standard.json"
     sensor = json.loads(file.read_text(encoding="utf-8")) | {"name": NAME}
     Path("sensor.json").write_text(json.dumps(sensor))
     options = ("--sensor", "sensor.json", "-O", "size=24x16")

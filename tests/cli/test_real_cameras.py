@@ -18,17 +18,17 @@ from command_line import Run
 from ptp_bench import bench
 from v4l2_model import Model
 
+from camctl.drivers.common.usb import UDEV_RULES
+from camctl.drivers.coolpix import backend as coolpix_backend
+from camctl.drivers.coolpix.camera import CoolpixCamera
+from camctl.drivers.v4l2 import backend as v4l2
+from camctl.drivers.v4l2.camera import V4l2Camera, V4l2Options
+from camctl.drivers.v4l2.kernel import Linux
 from camctl.profiles.folder import list_profiles
-from drivers.common.usb import UDEV_RULES
-from drivers.coolpix import backend as coolpix_backend
-from drivers.coolpix.camera import CoolpixCamera
-from drivers.v4l2 import backend as v4l2
-from drivers.v4l2.camera import V4l2Camera, V4l2Options
-from drivers.v4l2.kernel import Linux
-from sim.devices.clock import RealDeviceClock
-from sim.devices.ptp.camera import PtpCamera as VirtualStill
-from sim.devices.sierra.device import SierraDevice, make
-from sim.devices.usb.backend import VirtualBackend
+from camctl.sim.devices.clock import RealDeviceClock
+from camctl.sim.devices.ptp.camera import PtpCamera as VirtualStill
+from camctl.sim.devices.sierra.device import SierraDevice, make
+from camctl.sim.devices.usb.backend import VirtualBackend
 
 BASE = ("--base", "1/125", "--ratios", "1,2,4")
 
@@ -297,10 +297,10 @@ def test_serial_line_with_invalid_responses_is_no_camera(
 def test_coolpix_is_found_only_with_probe(
     run: Run, coolpix: SierraDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drivers.coolpix.backend.serial_ports", lambda: [coolpix.line.path])
+    monkeypatch.setattr("camctl.drivers.coolpix.backend.serial_ports", lambda: [coolpix.line.path])
     # Long enough for a busy machine; the camera answers at once.
-    monkeypatch.setattr("drivers.coolpix.backend._PROBE_S", 60.0)
-    monkeypatch.setattr("drivers.coolpix.backend._PORT_TIMEOUT_S", 60.0)
+    monkeypatch.setattr("camctl.drivers.coolpix.backend._PROBE_S", 60.0)
+    monkeypatch.setattr("camctl.drivers.coolpix.backend._PORT_TIMEOUT_S", 60.0)
     assert "coolpix" not in {each["driver"] for each in run("cameras", "--json").json}
     assert coolpix.camera is not None
     found = {each["driver"] for each in run("cameras", "--probe", "--json").json}

@@ -21,7 +21,7 @@ from series_bench import journal
 import camctl
 from camctl.captures.series_sets import CameraSets
 from camctl.errors import CaptureError
-from sim.camera import SimulatedCamera
+from camctl.sim.camera import SimulatedCamera
 
 TINY = ("series", "-O", "size=16x12", "--scene", "uniform", "--ratios", "1,4", "--base", "0.01")
 

@@ -16,9 +16,9 @@ from command_line import Run
 from camctl.interface.camera import Frame
 from camctl.interface.controls import ExposureSetting
 from camctl.profiles import calibrated
-from sim.camera import Faults, SimulatedCamera
-from sim.scenes.scene import load_scene
-from sim.sensors.sensor import load_sensor
+from camctl.sim.camera import Faults, SimulatedCamera
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import load_sensor
 
 SMALL = ("-O", "size=64x48")
 RESULT = {

@@ -19,12 +19,12 @@ from crash_sweep import checked
 
 from camctl.interface.camera import CameraBase
 from camctl.records.folder import CaptureFolder
+from camctl.sim.camera import SimulatedCamera
 from camctl.system.interrupts import run_interruptible
-from sim.camera import SimulatedCamera
 
 SHOOT = "shoot -O size=24x16 --ratios 1,8 --base 0.03 -o out"
 SIGNALS = [(signal.SIGINT, ""), (signal.SIGTERM, " by SIGTERM"), (signal.SIGHUP, " by SIGHUP")]
-CLOSING = "sim.camera:SimulatedCamera._close"
+CLOSING = "camctl.sim.camera:SimulatedCamera._close"
 RESUME = "shoot the others (camctl resume out)"
 
 
@@ -99,21 +99,21 @@ AtCall = Callable[[str, signal.Signals], None]
     ("line", "point", "end"),
     [
         (SHOOT, "camctl.captures.sequencer:plan_capture", ""),
-        ("shoot -O size=24x16 -n 2 -o out", "sim.camera:SimulatedCamera.preview", ""),
+        ("shoot -O size=24x16 -n 2 -o out", "camctl.sim.camera:SimulatedCamera.preview", ""),
         (
             "shoot -O size=24x16 -n 2 --range 3 --base 0.01 -o out",
             "camctl.exposure.accurate_sets:AccurateSets.within",
             "",
         ),
-        (SHOOT, "sim.camera:SimulatedCamera._frames", f"; 0 of 2 frames are kept; {RESUME}"),
+        (SHOOT, "camctl.sim.camera:SimulatedCamera._frames", f"; 0 of 2 frames are kept; {RESUME}"),
         (SHOOT, "camctl.captures.sequence:complete", f"; 2 of 2 frames are kept; {RESUME}"),
         (SHOOT, "tifffile:imwrite", f"; 2 of 2 frames are kept; {RESUME}"),
         (SHOOT, CLOSING, "; the capture in out is complete"),
         (SHOOT, "camctl.cli.capture_output:capture_text", "; the capture in out is complete"),
         ("solve -n 2", "camctl.exposure.solver:solve", ""),
-        ("simulate --size 24x16", "sim.render:Renderer.expose", ""),
+        ("simulate --size 24x16", "camctl.sim.render:Renderer.expose", ""),
         ("simulate --size 24x16", CLOSING, ""),
-        ("calibrate delay -O size=24x16", "sim.camera:SimulatedCamera.step", ""),
+        ("calibrate delay -O size=24x16", "camctl.sim.camera:SimulatedCamera.step", ""),
         (
             "table build -n 1 --bits 3 --workers 1",
             "camctl.exposure.build:solve_job",
@@ -140,7 +140,7 @@ def test_signal_ends_a_command(
         assert checked(Path("out"))["wrong"] == []
 
 
-@pytest.mark.parametrize("first", ["sim.camera:SimulatedCamera._frames", "tifffile:imwrite"])
+@pytest.mark.parametrize("first", ["camctl.sim.camera:SimulatedCamera._frames", "tifffile:imwrite"])
 @pytest.mark.parametrize(
     "second",
     [CLOSING, "camctl.captures.sequence:Sequence._failure", "camctl.cli:_report"],

@@ -15,7 +15,7 @@ import pytest
 import tifffile
 from command_line import Run
 
-from sim.effects import effect_names
+from camctl.sim.effects import effect_names
 
 SMALL = ("--size", "64x48")
 

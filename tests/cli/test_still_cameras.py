@@ -105,9 +105,9 @@ def test_resume_opens_the_camera_with_the_same_format(
 def test_menu_meters_only_with_the_option(
     run: Run, still_backend: type[StillBackend], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import menu.app
-    from menu.data import Choice, Summary
-    from menu.ports import Job
+    from camctl.menu import app
+    from camctl.menu.data import Choice, Summary
+    from camctl.menu.ports import Job
 
     def shoot_at_once(panel: object, make_job: Callable[[], Job]) -> Summary:
         job = make_job()
@@ -118,7 +118,7 @@ def test_menu_meters_only_with_the_option(
         finally:
             job.close()
 
-    monkeypatch.setattr(menu.app, "run", shoot_at_once)
+    monkeypatch.setattr(app, "run", shoot_at_once)
     arguments = ("menu", "--camera", "ptp:77", "-o", "pictures")
     refused = run(*arguments)
     assert refused.status == 2

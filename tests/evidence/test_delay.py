@@ -14,8 +14,8 @@ from camctl.evidence.ratio_check import RatioCheck
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.controls import ExposureSetting
 from camctl.records.report import CaptureReport
-from sim.camera import Faults
-from sim.sensors.sensor import load_sensor
+from camctl.sim.camera import Faults
+from camctl.sim.sensors.sensor import load_sensor
 
 #: Of a stream with 30 frames a second and a delay of two frames.
 STREAM = replace(

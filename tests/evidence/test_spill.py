@@ -10,7 +10,7 @@ import pytest
 
 import camctl
 from camctl.captures.advice import MUCH_SPREAD, spread_findings
-from sim.sensors.sensor import load_sensor
+from camctl.sim.sensors.sensor import load_sensor
 
 SIZE = "240x180"
 

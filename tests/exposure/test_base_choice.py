@@ -22,7 +22,7 @@ from camctl.interface.controls import (
     Steps,
 )
 from camctl.records.capture_plan import CapturePlan
-from sim.sensors.sensor import load_sensor, sensor_names
+from camctl.sim.sensors.sensor import load_sensor, sensor_names
 
 #: Lists as still cameras have them, down to three times, and the steps of webcams.
 TIMES: dict[str, Control] = {

@@ -15,10 +15,10 @@ from camctl.model.response.desired import desired_response
 from camctl.pictures.render import FULL_CODE, HOT, SATURATED, colour_of
 from camctl.profiles.calibrated import with_profile
 from camctl.records.report import CaptureReport
-from sim.camera import SimulatedCamera
-from sim.scenes.scene import Scene
-from sim.sensors.parts import Lens
-from sim.sensors.sensor import Sensor, load_sensor
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.scenes.scene import Scene
+from camctl.sim.sensors.parts import Lens
+from camctl.sim.sensors.sensor import Sensor, load_sensor
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 

@@ -13,10 +13,10 @@ import numpy as np
 import virtual_devices as rig
 
 from camctl import CaptureReport, read_report
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import Sensor
 from camctl.studies.scene_errors import scene_truth
-from sim.camera import SimulatedCamera
-from sim.scenes.scene import load_scene
-from sim.sensors.sensor import Sensor
 
 #: Light, of what saturates the shortest exposure, up to which columns of the ramp are compared.
 _COMPARED = 0.98

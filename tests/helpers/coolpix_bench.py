@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from error_lines import one_line
 
+from camctl.drivers.coolpix.camera import CoolpixCamera, CoolpixOptions
 from camctl.errors import CameraDisconnectedError
 from camctl.interface.camera import Camera, Frame
 from camctl.interface.controls import Choices, Control, ExposureSetting
-from drivers.coolpix.camera import CoolpixCamera, CoolpixOptions
-from sim.devices.clock import DeviceClock, VirtualDeviceClock
-from sim.devices.sierra.device import SierraDevice, make
+from camctl.sim.devices.clock import DeviceClock, VirtualDeviceClock
+from camctl.sim.devices.sierra.device import SierraDevice, make
 
 SCENERY = {"scene": "ramp", "sensor": "standard", "seed": 3, "size": "32x24", "repeat_noise": True}
 SETTINGS = [ExposureSetting(0.002), ExposureSetting(0.008)]

@@ -13,12 +13,12 @@ from typing import Any
 
 from camctl.captures import gallery
 from camctl.exposure import build, table
+from camctl.menu import settings_file
 from camctl.profiles import profile
 from camctl.records import folder, folder_store, journal
 from camctl.records.folder import CaptureFolder
 from camctl.records.folder_store import FolderStore
 from camctl.system import files
-from menu import settings_file
 
 #: Modules that write files, which have names of `camctl.system.files` of their own.
 _WRITERS = (files, folder, folder_store, journal, profile, settings_file, gallery, table, build)

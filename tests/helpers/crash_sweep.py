@@ -23,9 +23,9 @@ from camctl.interface.controls import ExposureSetting
 from camctl.pictures.files import read_radiance
 from camctl.records.folder_store import read_capture
 from camctl.records.report_file import named_files
-from sim.camera import SimulatedCamera
-from sim.scenes.scene import load_scene
-from sim.sensors.sensor import load_sensor
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import load_sensor
 
 REQUEST = camctl.CaptureRequest(ratios=(1.0, 8.0), base_s=0.01)
 

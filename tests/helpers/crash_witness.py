@@ -51,14 +51,14 @@ from camctl.exposure.build import build_table, discard_rows, look_up, table_jobs
 from camctl.exposure.table import ExposureTable
 from camctl.interface.camera import CameraInfo, Frame, FrameStream
 from camctl.interface.controls import ExposureSetting
+from camctl.menu.data import Settings
+from camctl.menu.settings_file import load_settings, save_settings
 from camctl.model.response.camera import linear_response
 from camctl.model.response.desired import desired_response
 from camctl.profiles.profile import change_profile, load_profile
 from camctl.records.folder_store import FolderStore
 from camctl.records.journal import SeriesJournal, SeriesOptions, read_series
 from camctl.records.report_file import LOCK
-from menu.data import Settings
-from menu.settings_file import load_settings, save_settings
 
 NAME = "out"
 

@@ -17,24 +17,24 @@ from mutations import mutated
 from ptp_bench import bench, settings_at
 from v4l2_model import PATH, Model
 
-from camctl.interface.controls import Layout
-from camctl.stills.decoding import read_still
-from camctl.stills.exif import exposure_time_s
-from drivers.common.serial_link import SerialLink
-from drivers.ptp.datasets import (
+from camctl.drivers.common.serial_link import SerialLink
+from camctl.drivers.ptp.datasets import (
     DeviceInfo,
     ObjectInfo,
     PropertyDescription,
     StorageInfo,
 )
-from drivers.ptp.maker_datasets import (
+from camctl.drivers.ptp.maker_datasets import (
     EosEvents,
     parse_nikon_events,
     parse_sony_properties,
 )
-from drivers.v4l2.abi import Request
-from drivers.v4l2.camera import V4l2Camera
-from sim.devices.still_files import RawImage, encode
+from camctl.drivers.v4l2.abi import Request
+from camctl.drivers.v4l2.camera import V4l2Camera
+from camctl.interface.controls import Layout
+from camctl.sim.devices.still_files import RawImage, encode
+from camctl.stills.decoding import read_still
+from camctl.stills.exif import exposure_time_s
 
 VENDORS = ("none", "nikon", "canon", "sony")
 

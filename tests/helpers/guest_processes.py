@@ -222,7 +222,7 @@ def _keep_busy() -> None:
 @functools.cache
 def spawner() -> Spawner:
     """Return what starts processes; everything that tests may need is imported before."""
-    import_all(["camctl", "drivers", "sim"])
+    import_all(["camctl"])
     return Spawner()
 
 

@@ -25,13 +25,13 @@ from camctl.model.response.desired import desired_response
 from camctl.model.response.measured import read_curve, read_desired, read_response_model
 from camctl.profiles.folder import list_profiles
 from camctl.profiles.profile import DelayRecord, Profile, StillRecord
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.devices.hub import read_config
+from camctl.sim.scenes.scene import Scene, load_scene
+from camctl.sim.sensors.sensor import load_sensor
 from camctl.studies.rows import read_runs
 from camctl.studies.simulation_study import SimulationRun
 from camctl.studies.solver_study import SolverRun
-from sim.camera import SimulatedCamera
-from sim.devices.hub import read_config
-from sim.scenes.scene import Scene, load_scene
-from sim.sensors.sensor import load_sensor
 
 Read = Callable[[bytes, Path], object]
 
@@ -74,7 +74,7 @@ def _saved(name: str, save: Callable[[Path], object]) -> bytes:
 
 
 def _json_files(folder: str) -> list[bytes]:
-    files = (resources.files("sim") / folder).iterdir()
+    files = (resources.files("camctl.sim") / folder).iterdir()
     return [file.read_bytes() for file in files if file.name.endswith(".json")]
 
 

@@ -8,12 +8,12 @@ from typing import Any
 
 from ptp_bench import virtual_sensor
 
-from drivers.ptp.network_backend import NetworkCamera, NetworkOptions
-from drivers.ptp.network_link import Address, Link
-from drivers.ptp.network_transport import Caller, NetworkTransport
-from sim.devices.clock import VirtualDeviceClock
-from sim.devices.ptp.link import HostConnection, NetworkConfig
-from sim.devices.ptp.network import NetworkCamera as VirtualCamera
+from camctl.drivers.ptp.network_backend import NetworkCamera, NetworkOptions
+from camctl.drivers.ptp.network_link import Address, Link
+from camctl.drivers.ptp.network_transport import Caller, NetworkTransport
+from camctl.sim.devices.clock import VirtualDeviceClock
+from camctl.sim.devices.ptp.link import HostConnection, NetworkConfig
+from camctl.sim.devices.ptp.network import NetworkCamera as VirtualCamera
 
 CALLER = Caller(bytes(range(16)))
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Self, TypeAlias
 
 from camctl.errors import InterruptedCaptureError
-from menu.data import (
+from camctl.menu.data import (
     CameraEntry,
     Choice,
     Cost,
@@ -21,8 +21,8 @@ from menu.data import (
     Settings,
     Summary,
 )
-from menu.layout import grid
-from menu.ports import Key, Screen
+from camctl.menu.layout import grid
+from camctl.menu.ports import Key, Screen
 
 COST = Cost(3, 1.79, 1.88, 99.6, True)
 FRONT = tuple(

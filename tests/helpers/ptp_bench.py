@@ -7,18 +7,18 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+from camctl.drivers.ptp.backend import PtpBackend
+from camctl.drivers.ptp.camera import PtpCamera, PtpOptions
 from camctl.interface.camera import Camera, Frame
 from camctl.interface.controls import ExposureSetting
-from drivers.ptp.backend import PtpBackend
-from drivers.ptp.camera import PtpCamera, PtpOptions
-from sim.devices.clock import DeviceClock, VirtualDeviceClock
-from sim.devices.common import VirtualSensor
-from sim.devices.ptp.camera import PtpCamera as VirtualCamera
-from sim.devices.ptp.config import PtpConfig
-from sim.devices.ptp.device import PtpDevice
-from sim.devices.usb.backend import VirtualBackend
-from sim.scenes.scene import load_scene
-from sim.sensors.sensor import load_sensor
+from camctl.sim.devices.clock import DeviceClock, VirtualDeviceClock
+from camctl.sim.devices.common import VirtualSensor
+from camctl.sim.devices.ptp.camera import PtpCamera as VirtualCamera
+from camctl.sim.devices.ptp.config import PtpConfig
+from camctl.sim.devices.ptp.device import PtpDevice
+from camctl.sim.devices.usb.backend import VirtualBackend
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import load_sensor
 
 SHAPE = (24, 32)
 # Of a transfer in virtual time; USB 2.0 cameras reach about this.

@@ -9,11 +9,11 @@ from itertools import permutations
 import pytest
 from ptp_bench import bench, shoot
 
+from camctl.drivers.ptp.camera import PtpCamera
 from camctl.errors import CamctlError
 from camctl.interface.controls import Choices, Control, ExposureSetting
-from drivers.ptp.camera import PtpCamera
-from sim.devices.ptp.body_facts import BodyFacts, load_body
-from sim.devices.ptp.camera import PtpCamera as VirtualCamera
+from camctl.sim.devices.ptp.body_facts import BodyFacts, load_body
+from camctl.sim.devices.ptp.camera import PtpCamera as VirtualCamera
 
 # Largest difference of a time from what the virtual body exposed, as a share.
 _EXACT = 1e-6

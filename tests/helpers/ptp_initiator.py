@@ -8,10 +8,10 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
-from sim.devices.clock import DeviceClock, VirtualDeviceClock
-from sim.devices.ptp import camera as ptp
-from sim.devices.usb.device import UsbDevice
-from sim.devices.usb.endpoints import Read
+from camctl.sim.devices.clock import DeviceClock, VirtualDeviceClock
+from camctl.sim.devices.ptp import camera as ptp
+from camctl.sim.devices.usb.device import UsbDevice
+from camctl.sim.devices.usb.endpoints import Read
 
 OK, BUSY = 0x2001, 0x2019
 TIMEOUT_S = 5.0

@@ -16,13 +16,13 @@ from pathlib import Path
 
 import usb.core
 
+from camctl.drivers.ptp.backend import PtpBackend
+from camctl.drivers.ptp.codes import Op
+from camctl.drivers.ptp.datasets import DeviceInfo, ObjectInfo, Reader
+from camctl.drivers.ptp.session import Session
+from camctl.drivers.ptp.usb_transport import UsbTransport
 from camctl.interface.clock import RealClock
 from camctl.stills.decoding import read_still
-from drivers.ptp.backend import PtpBackend
-from drivers.ptp.codes import Op
-from drivers.ptp.datasets import DeviceInfo, ObjectInfo, Reader
-from drivers.ptp.session import Session
-from drivers.ptp.usb_transport import UsbTransport
 
 OUT, IN = "2", "129"
 NAME = "the recorded camera"

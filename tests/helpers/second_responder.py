@@ -1,7 +1,7 @@
 """A second opinion on the makers' cameras: written from what libgphoto2 does and recorded bodies.
 
-It shares nothing with the virtual cameras of `sim.devices`.  When an event comes, when a property
-shows its value and how long a lens focuses is drawn at random from a seed.
+It shares nothing with the virtual cameras of `camctl.sim.devices`.  When an event comes, when a
+property shows its value and how long a lens focuses is drawn at random from a seed.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from typing import Any, Final, TypeAlias
 
 from PIL import Image
 
+from camctl.drivers.ptp.camera import PtpCamera, PtpOptions
+from camctl.drivers.ptp.transport import DATA, RESPONSE, Container
 from camctl.errors import CameraProtocolError
 from camctl.interface.camera import CameraInfo
 from camctl.interface.clock import VirtualClock
-from drivers.ptp.camera import PtpCamera, PtpOptions
-from drivers.ptp.transport import DATA, RESPONSE, Container
 
 OK, REFUSED, NO_OBJECT, BUSY, NO_PROPERTY = 0x2001, 0x2005, 0x2009, 0x2019, 0x200A
 EVENT: Final = 4  # kind of a container

@@ -7,8 +7,8 @@ from typing import Any
 
 import serial
 
-from sim.devices.clock import VirtualDeviceClock
-from sim.devices.sierra import device as sierra
+from camctl.sim.devices.clock import VirtualDeviceClock
+from camctl.sim.devices.sierra import device as sierra
 
 ACK, NAK, ENQ, INVALID, SESSION_ERROR = b"\x06", b"\x15", b"\x05", b"\x11", b"\xfc"
 FIRST, NEXT = b"\x1b\x53", b"\x1b\x43"  # type and subtype of a command

@@ -6,9 +6,9 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
+from camctl.drivers.common.serial_link import SerialLink
+from camctl.drivers.coolpix.sierra.session import Sierra
 from camctl.interface.clock import VirtualClock
-from drivers.common.serial_link import SerialLink
-from drivers.coolpix.sierra.session import Sierra
 
 ACK, NAK, ENQ, DC1, END = b"\x06", b"\x15", b"\x05", b"\x11", b"\xff"
 CODES = {1: 9600, 2: 19200, 3: 38400, 4: 57600, 5: 115200}

@@ -15,9 +15,9 @@ from camctl.interface.camera import Camera, CameraInfo, FrameStream
 from camctl.interface.clock import Clock
 from camctl.interface.controls import Control, ExposureControls, ExposureSetting
 from camctl.records.report import CaptureReport
-from sim.camera import Faults, SimulatedCamera
-from sim.scenes.scene import Scene
-from sim.sensors.sensor import Sensor, load_sensor
+from camctl.sim.camera import Faults, SimulatedCamera
+from camctl.sim.scenes.scene import Scene
+from camctl.sim.sensors.sensor import Sensor, load_sensor
 
 
 def gradient(rows: int = 60, columns: int = 80, low: float = 1e-3) -> NDArray[np.float32]:

@@ -17,7 +17,7 @@ from camctl.errors import (
     CameraDisconnectedError,
 )
 from camctl.exposure.goal import CaptureRequest
-from sim.camera import Faults
+from camctl.sim.camera import Faults
 
 REQUEST = CaptureRequest(ratios=(1.0, 4.0), base_s=0.01)
 LIGHT = gradient(12, 16)

@@ -7,9 +7,9 @@ import numpy as np
 from camctl.interface.camera import Frame
 from camctl.interface.clock import Clock
 from camctl.interface.controls import ExposureSetting
-from sim.camera import Faults, SimulatedCamera
-from sim.scenes.scene import Scene
-from sim.sensors.sensor import Sensor, load_sensor
+from camctl.sim.camera import Faults, SimulatedCamera
+from camctl.sim.scenes.scene import Scene
+from camctl.sim.sensors.sensor import Sensor, load_sensor
 
 INTERVAL_S = 0.03125  # a binary fraction: virtual time adds up exactly
 LIGHT = 100_000.0

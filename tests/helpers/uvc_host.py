@@ -10,7 +10,7 @@ import numpy as np
 import usb.core
 from numpy.typing import NDArray
 
-from sim.devices.usb.backend import VirtualBackend
+from camctl.sim.devices.usb.backend import VirtualBackend
 
 Control = tuple[int, int, int]  # entity, selector, size in bytes
 

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 from v4l2_model import PATH, Model, ticks_of
 
+from camctl.drivers.v4l2.camera import V4l2Camera, V4l2Options
 from camctl.errors import CamctlError
 from camctl.interface.camera import CameraInfo, Frame
 from camctl.interface.controls import ExposureSetting
 from camctl.profiles.profile import DelayRecord, Profile, save_profile
-from drivers.v4l2.camera import V4l2Camera, V4l2Options
 
 #: Exposures of a list of settings, x 100 us.
 TICKS = (40, 10, 160, 20, 80, 40, 320, 11)

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.drivers.v4l2 import abi
+from camctl.drivers.v4l2.abi import ControlId, ControlType, fourcc
 from camctl.interface.camera import Pixels
 from camctl.interface.clock import VirtualClock
-from drivers.v4l2 import abi
-from drivers.v4l2.abi import ControlId, ControlType, fourcc
 
 PATH = "/dev/video-of-the-model"
 ROWS, COLUMNS = 6, 8
@@ -84,7 +84,7 @@ class Filled:
 
 @dataclass
 class Model:
-    """The device behind the system calls of `drivers.v4l2.kernel.Kernel`.
+    """The device behind the system calls of `camctl.drivers.v4l2.kernel.Kernel`.
 
     Attributes:
         delay: control delay, frames

@@ -22,8 +22,8 @@ from camctl.interface.controls import ExposureSetting
 from camctl.profiles.calibrated import open_camera
 from camctl.profiles.profile import DelayRecord, change_profile, load_profile
 from camctl.records.frame import FrameRecord
-from sim.devices.hub import Hub
-from sim.devices.hub import main as hub_main
+from camctl.sim.devices.hub import Hub
+from camctl.sim.devices.hub import main as hub_main
 
 DIRECTORY = Path("/run/virtual-devices")
 SIZE, SHAPE = "160x120", (120, 160)

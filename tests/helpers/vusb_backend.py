@@ -19,10 +19,10 @@ from typing import Any, NoReturn
 
 from usb.core import USBError, USBTimeoutError
 
-from sim.devices.ptp.camera import configuration_descriptor, device_descriptor
-from sim.devices.ptp.config import Identity
-from sim.devices.usb.backend import DescribedBackend
-from sim.devices.usb.endpoints import parse_configuration, parse_device
+from camctl.sim.devices.ptp.camera import configuration_descriptor, device_descriptor
+from camctl.sim.devices.ptp.config import Identity
+from camctl.sim.devices.usb.backend import DescribedBackend
+from camctl.sim.devices.usb.endpoints import parse_configuration, parse_device
 
 MODEL = Identity(0x04B0, 0x0437, "Nikon Corporation", "D750 (vusb)")
 _GP_TIMEOUT = -10

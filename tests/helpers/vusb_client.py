@@ -16,10 +16,10 @@ from typing import Any
 
 from vusb_backend import VusbBackend
 
+from camctl.drivers.ptp.backend import PtpBackend
 from camctl.errors import CameraError, RefusedSettingError
 from camctl.interface.camera import OriginalFile
 from camctl.interface.controls import Choices, ExposureSetting
-from drivers.ptp.backend import PtpBackend
 
 MOST_SHOTS = 60
 

@@ -10,9 +10,9 @@ import pytest
 from panel_fakes import CAMERA, OTHER_CAMERA, TO_REVIEW, FakeJob, Script, ScriptedPanel, quit_from
 
 from camctl.errors import CameraDisconnectedError, CameraNotFoundError, UsageError
-from menu.app import run
-from menu.data import Choice, Settings
-from menu.ports import Key, PanelDisconnectedError, Screen
+from camctl.menu.app import run
+from camctl.menu.data import Choice, Settings
+from camctl.menu.ports import Key, PanelDisconnectedError, Screen
 
 SHOOT: Script = [*TO_REVIEW, ("Review", Key.ENTER)]
 TO_MENU: Script = [("[Set]", Key.RIGHT), ("[Shoot]", Key.RIGHT), ("[Menu]", Key.ENTER)]

@@ -18,16 +18,16 @@ from camctl.errors import CaptureError, DataError, StorageError, UsageError
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import Frame
 from camctl.interface.controls import ExposureSetting
-from menu.app import run
-from menu.camera_job import CameraJob
-from menu.capture_list import list_captures, next_folder
-from menu.data import Choice, Past, Settings
-from menu.entries import choice, requested
-from menu.model import Goal, Model
-from menu.ports import Key
-from sim.camera import Faults, SimulatedCamera
-from sim.scenes.scene import load_scene
-from sim.sensors.sensor import load_sensor
+from camctl.menu.app import run
+from camctl.menu.camera_job import CameraJob
+from camctl.menu.capture_list import list_captures, next_folder
+from camctl.menu.data import Choice, Past, Settings
+from camctl.menu.entries import choice, requested
+from camctl.menu.model import Goal, Model
+from camctl.menu.ports import Key
+from camctl.sim.camera import Faults, SimulatedCamera
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import load_sensor
 
 SIZE = (60, 16)
 

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from menu.data import Settings
-from menu.layout import binned, grid
-from menu.model import Model, State
-from menu.ports import Line, Screen
-from menu.screens import screen
+from camctl.menu.data import Settings
+from camctl.menu.layout import binned, grid
+from camctl.menu.model import Model, State
+from camctl.menu.ports import Line, Screen
+from camctl.menu.screens import screen
 from tests.menu.test_machine import FULL
 
 SIZES = [(16, 2), (20, 4), (24, 8), (40, 12), (60, 16)]

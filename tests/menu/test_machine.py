@@ -12,15 +12,13 @@ import pytest
 from panel_fakes import CAMERA, CAPTURES, COST, FRONT, OTHER_CAMERA, READING, SUMMARY, plan_of
 
 from camctl.exposure.goal import AUTO, CaptureRequest
-from camctl.model.response.names import RANGES as DEFINED_RANGES
-from camctl.model.response.names import RESPONSES as DEFINED_RESPONSES
-from menu.data import Progress, Settings
-from menu.diagram import diagram, states_page
-from menu.entries import RANGES, RESPONSES, choice, rows
-from menu.machine import step
-from menu.model import Action, Goal, Model, State
-from menu.ports import Key
-from menu.tables import (
+from camctl.menu.data import Progress, Settings
+from camctl.menu.diagram import diagram, states_page
+from camctl.menu.entries import RANGES, RESPONSES, choice, rows
+from camctl.menu.machine import step
+from camctl.menu.model import Action, Goal, Model, State
+from camctl.menu.ports import Key
+from camctl.menu.tables import (
     STATES,
     TRANSITIONS,
     Cancel,
@@ -31,6 +29,8 @@ from menu.tables import (
     Symbol,
     Work,
 )
+from camctl.model.response.names import RANGES as DEFINED_RANGES
+from camctl.model.response.names import RESPONSES as DEFINED_RESPONSES
 
 DOCS = Path(__file__).parents[2] / "docs"
 FULL = Model(
@@ -190,7 +190,7 @@ def test_diagram_has_every_state_and_every_transition() -> None:
 
 
 def test_page_of_the_documentation_is_up_to_date() -> None:
-    """Update it with: python -m menu.diagram > docs/reference/menu-states.md."""
+    """Update it with: python -m camctl.menu.diagram > docs/reference/menu-states.md."""
     assert (DOCS / "reference/menu-states.md").read_text(encoding="utf-8") == states_page()
 
 

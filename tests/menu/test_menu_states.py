@@ -22,14 +22,14 @@ from camctl.errors import (
     CaptureError,
     InterruptedCaptureError,
 )
-from menu.app import Session
-from menu.data import Settings
-from menu.layout import grid
-from menu.model import State
-from menu.ports import Key, PanelDisconnectedError, Screen
-from menu.screens import screen
-from menu.tables import STATES, Cancel, Effect, Event, Outcome, Start, Work
-from menu.worker import Worker
+from camctl.menu.app import Session
+from camctl.menu.data import Settings
+from camctl.menu.layout import grid
+from camctl.menu.model import State
+from camctl.menu.ports import Key, PanelDisconnectedError, Screen
+from camctl.menu.screens import screen
+from camctl.menu.tables import STATES, Cancel, Effect, Event, Outcome, Start, Work
+from camctl.menu.worker import Worker
 
 SIZE = (20, 4)
 CAPTURES = (Work.SHOOT, Work.RESUME)

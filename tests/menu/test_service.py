@@ -16,11 +16,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from panel_fakes import FakeJob, ScriptedPanel, quit_from
 
-import menu
-from menu.app import run
-from menu.data import Settings
-from menu.service import ServiceNotifier
-from menu.settings_file import VERSION, load_settings, save_settings
+from camctl import menu
+from camctl.menu.app import run
+from camctl.menu.data import Settings
+from camctl.menu.service import ServiceNotifier
+from camctl.menu.settings_file import VERSION, load_settings, save_settings
 
 
 @pytest.fixture

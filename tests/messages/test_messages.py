@@ -105,8 +105,8 @@ def test_the_menu_names_its_entries(remedies: dict[str, object], text: str) -> N
 
 
 def test_the_entries_are_those_of_the_menu() -> None:
-    from menu import entries
-    from menu.tables import STATES
+    from camctl.menu import entries
+    from camctl.menu.tables import STATES
 
     labels = {label for each in entries.MAIN_MENU for label in each.labels}
     titles = {title for spec in STATES.values() for title in spec.title}

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from camctl import NoiseModel, UsageError
-from sim.sensors.sensor import Sensor, load_sensor, sensor_names
+from camctl.sim.sensors.sensor import Sensor, load_sensor, sensor_names
 
 
 def test_read_noise_between_gains_is_interpolated_over_the_logarithm() -> None:

@@ -22,7 +22,7 @@ from camctl.interface.camera import CameraInfo
 from camctl.interface.controls import Layout
 from camctl.pictures.files import write_picture_files
 from camctl.pictures.metadata import exr_attributes, png_with_metadata
-from sim.devices.still_files import RawImage, encode
+from camctl.sim.devices.still_files import RawImage, encode
 
 SUMMARY = "sum of the exposures 1/4 s, 1 s at gain 2; desired response log, range 1:1,000"
 HOSTILE = CameraInfo("x", "a\0b\n" + "ä" * 900, "m" * 900, "1\r\n" + "€" * 900, "x")

@@ -14,8 +14,8 @@ from camctl.pictures import preview_light
 from camctl.pictures.preview import srgb_codes, tone_map
 from camctl.pictures.preview_light import ALL, Light, LightReducer
 from camctl.pictures.render import DARK, SATURATED, Strip
+from camctl.sim.scenes.scene import scene_names
 from camctl.system.picture_operations import channels_apart
-from sim.scenes.scene import scene_names
 
 SCENES = sorted(scene_names())
 LONGEST = {"colour-chart": 700.0, "night-street": 70.0, "stars": 5.0}

@@ -20,7 +20,7 @@ from camctl.profiles.exposures import Correction, ExposureRecord, exposure_mode
 from camctl.profiles.noise import DarkRecord, Figure, GainNoise, HotPixel, NoiseRecord
 from camctl.profiles.profile import DelayRecord, Profile, change_profile
 from camctl.profiles.response import ChannelResponse, ResponseRecord
-from sim.camera import SimulatedCamera
+from camctl.sim.camera import SimulatedCamera
 
 DATE = "2026-11-22T05:15:15+00:00"
 BRIGHTNESS = np.linspace(0, 1, 33)

@@ -30,7 +30,7 @@ from camctl.interface.camera import Frame, FrameStream, OriginalFile
 from camctl.interface.controls import ExposureSetting
 from camctl.records.folder_store import read_capture, read_report
 from camctl.records.report_file import clean_suffix
-from sim.camera import SimulatedCamera
+from camctl.sim.camera import SimulatedCamera
 
 # One owner
 

@@ -18,7 +18,7 @@ from camctl.exposure.goal import RANGE_WITHOUT_LIGHT, CaptureRequest
 from camctl.model.response.desired import GammaDesired, LinearDesired
 from camctl.model.response.names import RANGES
 from camctl.records.folder_store import read_capture
-from sim.camera import Faults
+from camctl.sim.camera import Faults
 
 CURVE = ((0.01, 0.0), (0.1, 0.6), (1.0, 1.0))
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.compiled import SAMPLES_WORTH_LOADING, KernelChoice, load
-from sim.noise import TILE, Stream, TileNoise
-from sim.render import Renderer
-from sim.scenes.scene import load_scene
-from sim.scenes.view import View
-from sim.sensors.sensor import load_sensor, sensor_names
+from camctl.sim.compiled import SAMPLES_WORTH_LOADING, KernelChoice, load
+from camctl.sim.noise import TILE, Stream, TileNoise
+from camctl.sim.render import Renderer
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.scenes.view import View
+from camctl.sim.sensors.sensor import load_sensor, sensor_names
 
 
 @pytest.mark.parametrize(
@@ -64,13 +64,13 @@ def test_photon_noise_is_the_same_for_every_mean() -> None:
 
 def test_the_functions_are_loaded_after_many_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     loaded: list[str] = []
-    monkeypatch.setattr("sim.compiled.load", lambda: loaded.append("yes"))
+    monkeypatch.setattr("camctl.sim.compiled.load", lambda: loaded.append("yes"))
 
     class AtOnce:
         def __init__(self, target: Any, name: str) -> None:
             self.start = target
 
-    monkeypatch.setattr("sim.compiled.threading.Thread", AtOnce)
+    monkeypatch.setattr("camctl.sim.compiled.threading.Thread", AtOnce)
     choice = KernelChoice(None)
     choice.after(SAMPLES_WORTH_LOADING - 1)
     assert not loaded

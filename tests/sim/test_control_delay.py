@@ -22,7 +22,7 @@ from camctl.errors import (
 )
 from camctl.interface.camera import StreamingCamera
 from camctl.interface.clock import VirtualClock
-from sim.streaming_device import QUEUE
+from camctl.sim.streaming_device import QUEUE
 
 
 class BusyClock(VirtualClock):

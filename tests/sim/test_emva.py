@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.noise import largest_noise
-from sim.render import Renderer
-from sim.scenes.view import View
-from sim.sensors.parts import Dark, Pixels, ReadOut
-from sim.sensors.sensor import Sensor
+from camctl.sim.noise import largest_noise
+from camctl.sim.render import Renderer
+from camctl.sim.scenes.view import View
+from camctl.sim.sensors.parts import Dark, Pixels, ReadOut
+from camctl.sim.sensors.sensor import Sensor
 
 SHAPE = (400, 500)
 SAMPLES = SHAPE[0] * SHAPE[1]

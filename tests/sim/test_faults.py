@@ -13,11 +13,11 @@ from camctl.errors import UsageError
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import Frame
 from camctl.interface.controls import ExposureSetting, resting_setting
-from sim.backend import SimulatedOptions
-from sim.camera import SimulatedCamera
-from sim.faults import FAULT_FORMS, Faults
-from sim.scenes.scene import load_scene
-from sim.sensors.sensor import load_sensor
+from camctl.sim.backend import SimulatedOptions
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.faults import FAULT_FORMS, Faults
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import load_sensor
 
 TIMES = load_sensor("standard").times
 SETTINGS = [ExposureSetting(TIMES.nearest(time_s)) for time_s in (0.005, 0.02, 0.04, 0.01)]

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from sim import noise
-from sim.noise import TILE, Stream, TileNoise, largest_noise, normal_quantiles, tile_bits
+from camctl.sim import noise
+from camctl.sim.noise import TILE, Stream, TileNoise, largest_noise, normal_quantiles, tile_bits
 
 COUNT = 1 << 16
 

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.noise import largest_noise
-from sim.photon_counts import (
+from camctl.sim.noise import largest_noise
+from camctl.sim.photon_counts import (
     COUNT_ERROR_E,
     LARGEST_COUNT_NOISE,
     normal_of,
     poisson_quantiles,
 )
-from sim.render import Renderer
-from sim.scenes.view import View
-from sim.sensors.parts import Dark, Pixels
-from sim.sensors.sensor import Sensor, load_sensor
+from camctl.sim.render import Renderer
+from camctl.sim.scenes.view import View
+from camctl.sim.sensors.parts import Dark, Pixels
+from camctl.sim.sensors.sensor import Sensor, load_sensor
 
 SAMPLES = (600, 1000)
 COUNTING = Sensor(

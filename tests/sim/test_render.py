@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from camctl.errors import UsageError
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import Layout
-from sim.effects.budget import plan_frame
-from sim.noise import TILE
-from sim.render import Renderer
-from sim.scenes.scene import RELATIVE, Scene, load_scene
-from sim.scenes.view import View, photons_per_unit
-from sim.sensors import parts
-from sim.sensors.sensor import Sensor, load_sensor, sensor_names
+from camctl.sim.effects.budget import plan_frame
+from camctl.sim.noise import TILE
+from camctl.sim.render import Renderer
+from camctl.sim.scenes.scene import RELATIVE, Scene, load_scene
+from camctl.sim.scenes.view import View, photons_per_unit
+from camctl.sim.sensors import parts
+from camctl.sim.sensors.sensor import Sensor, load_sensor, sensor_names
 
 STANDARD = load_sensor("standard")
 LEFT_OUT = ((), ("veiling glare", "PRNU"), ("point spread", "DSNU"))

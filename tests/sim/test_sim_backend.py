@@ -12,8 +12,8 @@ from camctl.interface.backends import list_cameras
 from camctl.interface.clock import RealClock, VirtualClock
 from camctl.interface.controls import ExposureSetting, Layout
 from camctl.profiles.calibrated import open_camera
-from sim.backend import SimulatedBackend, SimulatedOptions
-from sim.scenes.scene import scene_of
+from camctl.sim.backend import SimulatedBackend, SimulatedOptions
+from camctl.sim.scenes.scene import scene_of
 
 
 def test_backend_is_found_through_its_entry_point() -> None:

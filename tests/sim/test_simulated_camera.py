@@ -22,11 +22,11 @@ from camctl.errors import (
 from camctl.interface.camera import Camera, Frame, PreviewingCamera, StreamingCamera
 from camctl.interface.clock import RealClock
 from camctl.interface.controls import ExposureSetting
+from camctl.sim.camera import SILENCE_S, Faults, SimulatedCamera
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import load_sensor, sensor_names
+from camctl.sim.streaming_device import QUEUE
 from camctl.testing.conformance import CameraConformance
-from sim.camera import SILENCE_S, Faults, SimulatedCamera
-from sim.scenes.scene import load_scene
-from sim.sensors.sensor import load_sensor, sensor_names
-from sim.streaming_device import QUEUE
 
 
 class LatenessClock(RealClock):

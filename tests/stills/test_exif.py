@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camctl.interface.controls import Layout
+from camctl.sim.devices.still_files import RawImage, encode
 from camctl.stills.exif import StatedExposure, exposure_time_s, stated_exposure
-from sim.devices.still_files import RawImage, encode
 
 GREY = np.arange(64, dtype=np.uint8).reshape(8, 8)
 

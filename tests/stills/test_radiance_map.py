@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from camctl.errors import CamctlError, DataError
+from camctl.sim.scenes.scene import load_scene
 from camctl.stills.radiance_map import SUFFIXES, read_map
-from sim.scenes.scene import load_scene
 
 HEADER = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n"
 

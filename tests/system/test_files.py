@@ -14,10 +14,10 @@ import pytest
 
 from camctl import CaptureRequest, capture
 from camctl.errors import StorageError
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import load_sensor
 from camctl.system.files import atomic_file, remove_leftovers, write_array, write_bytes
-from sim.camera import SimulatedCamera
-from sim.scenes.scene import load_scene
-from sim.sensors.sensor import load_sensor
 
 
 def test_failed_write_keeps_the_earlier_file(tmp_path: Path) -> None:

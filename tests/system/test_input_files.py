@@ -16,12 +16,12 @@ from camctl.errors import DataError
 from camctl.exposure.table import ExposureTable
 from camctl.model.response.measured import read_curve, read_desired, read_response_model
 from camctl.profiles.folder import list_profiles
+from camctl.sim.devices.hub import read_config
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import load_sensor
 from camctl.studies.rows import read_runs
 from camctl.studies.solver_study import SolverRun
 from camctl.system.input_files import exists, open_input, read_input, read_input_text
-from sim.devices.hub import read_config
-from sim.scenes.scene import load_scene
-from sim.sensors.sensor import load_sensor
 
 Make = Callable[[Path], object]
 

@@ -12,10 +12,10 @@ from small_cameras import WrappedCamera
 
 from camctl.interface.camera import Camera, Frame, FrameStream
 from camctl.interface.controls import ExposureSetting
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.scenes.scene import Scene
+from camctl.sim.sensors.sensor import Sensor, load_sensor
 from camctl.testing.conformance import CameraConformance
-from sim.camera import SimulatedCamera
-from sim.scenes.scene import Scene
-from sim.sensors.sensor import Sensor, load_sensor
 
 
 class Steady(CameraConformance):

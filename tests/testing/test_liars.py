@@ -13,10 +13,10 @@ from small_cameras import WrappedCamera
 from camctl.errors import CameraDisconnectedError, CameraTimeoutError
 from camctl.interface.camera import Camera, Frame, FrameStream
 from camctl.interface.controls import ExposureControls, ExposureSetting, Layout, ResponseOrigin
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.scenes.scene import Scene
+from camctl.sim.sensors.sensor import load_sensor
 from camctl.testing.conformance import CameraConformance
-from sim.camera import SimulatedCamera
-from sim.scenes.scene import Scene
-from sim.sensors.sensor import load_sensor
 
 Change = Callable[[ExposureSetting], ExposureSetting]
 

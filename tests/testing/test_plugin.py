@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from camctl.errors import UsageError
-from sim.backend import SimulatedOptions
-from sim.camera import Faults
+from camctl.sim.backend import SimulatedOptions
+from camctl.sim.camera import Faults
 
 pytest_plugins = ["pytester"]
 
@@ -154,7 +154,7 @@ def test_loading_the_plugin_imports_neither_numpy_nor_the_simulator(
             assert pytestconfig.pluginmanager.has_plugin("camctl")
             assert "camctl.testing.plugin" in sys.modules
             assert any(line.startswith("camctl_camera(") for line in pytestconfig.getini("markers"))
-            assert not {"numpy", "sim", "drivers", "pydantic"} & set(sys.modules)
+            assert not {"numpy", "camctl.sim", "camctl.drivers", "pydantic"} & set(sys.modules)
         """
     )
     result = pytester.runpytest_subprocess("-q", "-p", "no:hypothesispytest")

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 from panel_fakes import FakeJob
 
-from menu.app import run
-from menu.drawing import draw
-from menu.panels.framebuffer import FramebufferPanel
-from menu.ports import Screen
+from camctl.menu.app import run
+from camctl.menu.drawing import draw
+from camctl.menu.panels.framebuffer import FramebufferPanel
+from camctl.menu.ports import Screen
 
 OUT = Path("/guest_out")
 MODULES = ("bochs", "evdev")

@@ -174,7 +174,7 @@ def check_video_devices() -> Check:
 
 def check_udev_rules() -> Check:
     """Return whether the rules that give access to USB cameras are there, as this version has."""
-    from drivers.common.usb import UDEV_RULES
+    from camctl.drivers.common.usb import UDEV_RULES
 
     if sys.platform != "linux":
         return Check(name="udev rules", state="ok", found="not needed on this system")
@@ -222,21 +222,6 @@ def check_configuration() -> Check:
     return Check(name="configuration", state="ok", found=f"{path} sets {names}")
 
 
-def check_shadowing() -> Check:
-    """Return whether a folder of the user hides a package of camctl."""
-    from camctl.interface.backends import OWN_PACKAGES, shadowing_path
-
-    hidden = {name: path for name in OWN_PACKAGES if (path := shadowing_path(name)) is not None}
-    if hidden:
-        return Check(
-            name="packages",
-            state="problem",
-            found=f"{', '.join(hidden.values())} hides {', '.join(hidden)} of camctl",
-            to_do="run from another folder or rename it",
-        )
-    return Check(name="packages", state="ok", found="no folder hides one of camctl's")
-
-
 def check_cameras() -> Iterator[Check]:
     """Yield what each backend finds."""
     from camctl.interface.backends import list_backends
@@ -269,7 +254,6 @@ CHECKS: Final[tuple[Callable[[], Check], ...]] = (
     check_libusb,
     check_video_devices,
     check_udev_rules,
-    check_shadowing,
     check_configuration,
     check_profiles,
 )

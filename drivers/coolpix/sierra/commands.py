@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from camctl.errors import CameraProtocolError, CameraTimeoutError
-from camctl.interface.clock import Clock
-from drivers.common.serial_link import SerialLink
-from drivers.coolpix.sierra.packets import (
+from camctl.drivers.common.serial_link import SerialLink
+from camctl.drivers.coolpix.sierra.packets import (
     ACK,
     DATA,
     DC1,
@@ -22,6 +20,8 @@ from drivers.coolpix.sierra.packets import (
     command_packet,
     receive,
 )
+from camctl.errors import CameraProtocolError, CameraTimeoutError
+from camctl.interface.clock import Clock
 
 #: Bad answers (NAK, damaged, unexpected) after which a command fails; they come quickly, in bursts.
 MAX_BAD_ANSWERS = 6

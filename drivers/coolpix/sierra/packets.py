@@ -11,8 +11,8 @@ import struct
 from enum import IntEnum
 from typing import NamedTuple
 
+from camctl.drivers.common.serial_link import SerialLink
 from camctl.errors import CameraDisconnectedError, CameraProtocolError
-from drivers.common.serial_link import SerialLink
 
 NUL, DATA, LAST_DATA, ENQ, ACK, DC1, NAK, COMMAND = 0x00, 0x02, 0x03, 0x05, 0x06, 0x11, 0x15, 0x1B
 WRONG_SPEED, SESSION_ERROR, SESSION_END = 0x8C, 0xFC, 0xFF  # what a camera answers

@@ -6,11 +6,9 @@ import itertools
 from collections.abc import Callable
 from typing import TypeVar
 
-from camctl.errors import CameraProtocolError, CameraTimeoutError, UsageError
-from camctl.interface.clock import Clock
-from drivers.common.serial_link import SerialLink
-from drivers.coolpix.sierra.commands import MAX_BAD_ANSWERS, MAX_SILENCES, Commands
-from drivers.coolpix.sierra.packets import (
+from camctl.drivers.common.serial_link import SerialLink
+from camctl.drivers.coolpix.sierra.commands import MAX_BAD_ANSWERS, MAX_SILENCES, Commands
+from camctl.drivers.coolpix.sierra.packets import (
     ACT,
     DRAIN_BYTES,
     FIRST_SPEED,
@@ -29,6 +27,8 @@ from drivers.coolpix.sierra.packets import (
     drain,
     setting,
 )
+from camctl.errors import CameraProtocolError, CameraTimeoutError, UsageError
+from camctl.interface.clock import Clock
 
 # How long a camera may take to answer the NUL that starts a session, or the end of one.
 _WAKE_S = 0.5

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict
 
 from camctl.errors import unknown_name
-from sim.devices.ptp.protocol import Operation, Property, Type
+from camctl.sim.devices.ptp.protocol import Operation, Property, Type
 
 MAKERS = ("nikon", "canon", "sony", "fuji", "olympus", "panasonic", "pentax")
 _READING = frozenset({0x1014, 0x1015})  # operations that read properties
@@ -124,7 +124,7 @@ class BodyFacts(BaseModel):
 @cache
 def bodies() -> dict[str, tuple[str, dict[str, Any]]]:
     """Return maker and recorded facts of all bodies by name."""
-    folder = resources.files("sim.devices") / "bodies"
+    folder = resources.files("camctl.sim.devices") / "bodies"
     return {
         name: (maker, facts)
         for maker in MAKERS

@@ -9,11 +9,11 @@ import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sim.devices.clock import DeviceClock
-from sim.devices.common import VirtualSensor
-from sim.devices.ptp.config import Identity, PtpConfig
-from sim.devices.ptp.device import Command, PtpDevice, identity_of
-from sim.devices.ptp.protocol import (
+from camctl.sim.devices.clock import DeviceClock
+from camctl.sim.devices.common import VirtualSensor
+from camctl.sim.devices.ptp.config import Identity, PtpConfig
+from camctl.sim.devices.ptp.device import Command, PtpDevice, identity_of
+from camctl.sim.devices.ptp.protocol import (
     HEADER,
     Container,
     Reply,
@@ -21,7 +21,7 @@ from sim.devices.ptp.protocol import (
     pack_container,
     pack_parameters,
 )
-from sim.devices.usb.device import IN, STALL, ControlReply, UsbDevice
+from camctl.sim.devices.usb.device import IN, STALL, ControlReply, UsbDevice
 
 BULK_IN, BULK_OUT, EVENTS = 1, 2, 3  # numbers of the endpoints
 PACKET = 512  # bytes, bulk at high speed (USB 2.0, 5.8.3)

@@ -12,9 +12,9 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar
 
-from sim.devices.ptp.config import Identity
-from sim.devices.ptp.properties import DeviceProperty, battery
-from sim.devices.ptp.protocol import (
+from camctl.sim.devices.ptp.config import Identity
+from camctl.sim.devices.ptp.properties import DeviceProperty, battery
+from camctl.sim.devices.ptp.protocol import (
     Event,
     Format,
     Handler,
@@ -26,9 +26,9 @@ from sim.devices.ptp.protocol import (
     pack_list,
     unpack_number,
 )
-from sim.devices.ptp.responder import Responder
-from sim.devices.ptp.store import FORMATS, STORE, StoredObject
-from sim.devices.still_body import ImageFile
+from camctl.sim.devices.ptp.responder import Responder
+from camctl.sim.devices.ptp.store import FORMATS, STORE, StoredObject
+from camctl.sim.devices.still_body import ImageFile
 
 BULB = 0x0C  # code of a shutter time
 CARD, HOST = 2, 4  # capture destinations

@@ -10,9 +10,9 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from camctl.errors import UsageError
 from camctl.interface.controls import Layout
-from sim.devices.common import Controllable, DeviceConfig, VirtualSensor, as_tuple
-from sim.devices.ptp.body_facts import BodyFacts, load_body, manners_of
-from sim.devices.still_body import CARD_BYTES
+from camctl.sim.devices.common import Controllable, DeviceConfig, VirtualSensor, as_tuple
+from camctl.sim.devices.ptp.body_facts import BodyFacts, load_body, manners_of
+from camctl.sim.devices.still_body import CARD_BYTES
 
 # The labels of a shutter dial in thirds of a stop, seconds.
 _PARTS_OF_SECOND = (
@@ -75,8 +75,8 @@ class PtpConfig(DeviceConfig):
         mode: of the dial: "manual", or "auto", where the host cannot set the shutter time;
             "recorded": as the facts of `body` have it
         absolute: Sony: the shutter time can be set, not only stepped
-        body: name of a recorded body, see `sim.devices.ptp.body_facts`; its maker, its properties
-            and its behaviour replace the defaults
+        body: name of a recorded body, see `camctl.sim.devices.ptp.body_facts`; its maker, its
+            properties and its behaviour replace the defaults
         access: to the card: 0 read and write, 1 read-only, 2 read-only with deletion
         reuses_names: a new picture takes the lowest free number and handle
         unlisted: operations that the camera has and does not list

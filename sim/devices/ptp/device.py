@@ -8,18 +8,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from sim.devices.clock import DeviceClock
-from sim.devices.common import VirtualSensor
-from sim.devices.ptp.canon import CanonResponder
-from sim.devices.ptp.config import Identity, PtpConfig, WireFaultCommands, WireFaults
-from sim.devices.ptp.fuji import FujiResponder
-from sim.devices.ptp.nikon import NikonResponder
-from sim.devices.ptp.olympus import OlympusResponder
-from sim.devices.ptp.panasonic import PanasonicResponder
-from sim.devices.ptp.protocol import Operation, Reply, Response
-from sim.devices.ptp.responder import Responder
-from sim.devices.ptp.sony import SonyResponder
-from sim.devices.still_body import BodyOptions, StillBody, StillFaultCommands
+from camctl.sim.devices.clock import DeviceClock
+from camctl.sim.devices.common import VirtualSensor
+from camctl.sim.devices.ptp.canon import CanonResponder
+from camctl.sim.devices.ptp.config import Identity, PtpConfig, WireFaultCommands, WireFaults
+from camctl.sim.devices.ptp.fuji import FujiResponder
+from camctl.sim.devices.ptp.nikon import NikonResponder
+from camctl.sim.devices.ptp.olympus import OlympusResponder
+from camctl.sim.devices.ptp.panasonic import PanasonicResponder
+from camctl.sim.devices.ptp.protocol import Operation, Reply, Response
+from camctl.sim.devices.ptp.responder import Responder
+from camctl.sim.devices.ptp.sony import SonyResponder
+from camctl.sim.devices.still_body import BodyOptions, StillBody, StillFaultCommands
 
 RESPONDERS: dict[str, type[Responder]] = {
     "none": Responder,

@@ -10,10 +10,18 @@ import math
 from collections.abc import Sequence
 from typing import ClassVar
 
-from sim.devices.ptp.config import Identity
-from sim.devices.ptp.properties import DeviceProperty
-from sim.devices.ptp.protocol import Event, Handler, Operation, Property, Reply, Response, Type
-from sim.devices.ptp.responder import Responder
+from camctl.sim.devices.ptp.config import Identity
+from camctl.sim.devices.ptp.properties import DeviceProperty
+from camctl.sim.devices.ptp.protocol import (
+    Event,
+    Handler,
+    Operation,
+    Property,
+    Reply,
+    Response,
+    Type,
+)
+from camctl.sim.devices.ptp.responder import Responder
 
 _BY_CAMERA, _BY_HOST = 1, 2  # property D207
 _HALF_PRESSED, _FULLY_PRESSED = 0x0200, 0x0304  # property D208

@@ -10,8 +10,8 @@ from typing import Protocol
 
 from pydantic import Field
 
-from sim.devices.clock import DeviceClock
-from sim.devices.ptp.config import PtpConfig
+from camctl.sim.devices.clock import DeviceClock
+from camctl.sim.devices.ptp.config import PtpConfig
 
 PORT = 15740  # of PTP/IP
 HEADER = struct.Struct("<II")  # length with this header, type
@@ -76,7 +76,7 @@ class Wire(Protocol):
 
 
 class Listener(Protocol):
-    """What a connection needs of its camera; see `sim.devices.ptp.network.NetworkCamera`."""
+    """What a connection needs of its camera; see `camctl.sim.devices.ptp.network.NetworkCamera`."""
 
     lock: threading.RLock
     clock: DeviceClock

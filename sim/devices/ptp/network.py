@@ -1,8 +1,8 @@
 """A PTP still camera in the network: PTP/IP, the packets of CIPA DC-005-2005.
 
 A host opens two connections to one port: the first for commands and data, the second for events,
-pings and cancellations.  `TcpPort` has the sockets, and `sim.devices.ptp.link.HostConnection`
-connects a host in the same process.
+pings and cancellations.  `TcpPort` has the sockets, and
+`camctl.sim.devices.ptp.link.HostConnection` connects a host in the same process.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from contextlib import suppress
 from typing import Any
 
 from camctl.errors import UsageError
-from sim.devices.clock import DeviceClock, RealDeviceClock
-from sim.devices.common import VirtualSensor
-from sim.devices.ptp.device import Command, PtpDevice, identity_of
-from sim.devices.ptp.link import (
+from camctl.sim.devices.clock import DeviceClock, RealDeviceClock
+from camctl.sim.devices.common import VirtualSensor
+from camctl.sim.devices.ptp.device import Command, PtpDevice, identity_of
+from camctl.sim.devices.ptp.link import (
     DATA_BYTES,
     GUID_BYTES,
     HEADER,
@@ -28,7 +28,7 @@ from sim.devices.ptp.link import (
     Packet,
     Wire,
 )
-from sim.devices.ptp.protocol import Reply, Response, pack_parameters
+from camctl.sim.devices.ptp.protocol import Reply, Response, pack_parameters
 
 HOST = "127.0.0.1"
 _RESET = struct.pack("ii", 1, 0)  # SO_LINGER: closing a socket resets its connection

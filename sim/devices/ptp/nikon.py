@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import ClassVar
 
-from sim.devices.ptp.config import Identity
-from sim.devices.ptp.picture_settings import AUTOMATIC_GAIN
-from sim.devices.ptp.properties import UNITS_PER_S, DeviceProperty, to_units, true_time_s
-from sim.devices.ptp.protocol import (
+from camctl.sim.devices.ptp.config import Identity
+from camctl.sim.devices.ptp.picture_settings import AUTOMATIC_GAIN
+from camctl.sim.devices.ptp.properties import UNITS_PER_S, DeviceProperty, to_units, true_time_s
+from camctl.sim.devices.ptp.protocol import (
     Event,
     Handler,
     Operation,
@@ -21,8 +21,8 @@ from sim.devices.ptp.protocol import (
     Type,
     pack_list,
 )
-from sim.devices.ptp.responder import Responder
-from sim.devices.still_body import ImageFile
+from camctl.sim.devices.ptp.responder import Responder
+from camctl.sim.devices.still_body import ImageFile
 
 BULB = 0xFFFF_FFFF  # shutter number
 IN_MEMORY = 0xFFFF_0001  # handle of the first picture in memory

@@ -9,10 +9,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import ClassVar
 
-from sim.devices.ptp.config import Identity
-from sim.devices.ptp.properties import DeviceProperty, battery
-from sim.devices.ptp.protocol import Event, Handler, Operation, Property, Reply, Response, Type
-from sim.devices.ptp.responder import Responder
+from camctl.sim.devices.ptp.config import Identity
+from camctl.sim.devices.ptp.properties import DeviceProperty, battery
+from camctl.sim.devices.ptp.protocol import (
+    Event,
+    Handler,
+    Operation,
+    Property,
+    Reply,
+    Response,
+    Type,
+)
+from camctl.sim.devices.ptp.responder import Responder
 
 _BY_CAMERA, _BY_HOST = 2, 1  # property D052
 _PRESS, _RELEASE = 3, 6  # parameters of the capture

@@ -9,9 +9,9 @@ import struct
 from collections.abc import Sequence
 from typing import ClassVar
 
-from sim.devices.ptp.config import Identity
-from sim.devices.ptp.properties import DeviceProperty, battery
-from sim.devices.ptp.protocol import (
+from camctl.sim.devices.ptp.config import Identity
+from camctl.sim.devices.ptp.properties import DeviceProperty, battery
+from camctl.sim.devices.ptp.protocol import (
     Event,
     Handler,
     Operation,
@@ -23,8 +23,8 @@ from sim.devices.ptp.protocol import (
     pack_value,
     unpack_number,
 )
-from sim.devices.ptp.responder import Responder
-from sim.devices.still_body import ImageFile
+from camctl.sim.devices.ptp.responder import Responder
+from camctl.sim.devices.still_body import ImageFile
 
 ISO, SHUTTER, APERTURE = 0x0200_0020, 0x0200_0030, 0x0200_0040  # codes of properties
 _STORAGE, _RELEASE = 0x0001_0001, 0x0300_0011  # parameters of opening and of capturing

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-from sim.devices.ptp.body_facts import DIALS, BodyFacts
-from sim.devices.ptp.config import COMPRESSIONS, PtpConfig, file_formats
-from sim.devices.ptp.properties import (
+from camctl.sim.devices.ptp.body_facts import DIALS, BodyFacts
+from camctl.sim.devices.ptp.config import COMPRESSIONS, PtpConfig, file_formats
+from camctl.sim.devices.ptp.properties import (
     AUTOMATIC,
     MANUAL,
     DeviceProperty,
@@ -15,8 +15,8 @@ from sim.devices.ptp.properties import (
     standard_properties,
     true_time_s,
 )
-from sim.devices.ptp.protocol import Property, Type
-from sim.devices.ptp.store import FORMATS
+from camctl.sim.devices.ptp.protocol import Property, Type
+from camctl.sim.devices.ptp.store import FORMATS
 
 _AUTOMATIC_S = 1 / 60  # exposures of a camera without a shutter property
 AUTOMATIC_GAIN = 4.0  # of a camera that chooses its sensitivity itself

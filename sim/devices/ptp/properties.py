@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 
-from sim.devices.ptp.config import COMPRESSIONS, PtpConfig
-from sim.devices.ptp.protocol import Property, Reply, Response, Type, pack_value
+from camctl.sim.devices.ptp.config import COMPRESSIONS, PtpConfig
+from camctl.sim.devices.ptp.protocol import Property, Reply, Response, Type, pack_value
 
 UNITS_PER_S = 10_000  # of property 500D
 # Times that units of 1e-4 s round: real cameras expose for 1/8000 s at the value 1.

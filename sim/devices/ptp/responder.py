@@ -9,16 +9,16 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import ClassVar
 
-from sim.devices.ptp.config import Identity, PtpConfig
-from sim.devices.ptp.picture_settings import PictureSettings
-from sim.devices.ptp.properties import (
+from camctl.sim.devices.ptp.config import Identity, PtpConfig
+from camctl.sim.devices.ptp.picture_settings import PictureSettings
+from camctl.sim.devices.ptp.properties import (
     CHARGE,
     LOW_CHARGE,
     DeviceProperty,
     PropertyTable,
     longest_within,
 )
-from sim.devices.ptp.protocol import (
+from camctl.sim.devices.ptp.protocol import (
     DeviceInfo,
     Event,
     Format,
@@ -30,8 +30,8 @@ from sim.devices.ptp.protocol import (
     Type,
     unpack_number,
 )
-from sim.devices.ptp.store import PICTURE_FOLDER, READ_ONLY, STORE, Card
-from sim.devices.still_body import Exposure, ImageFile, StillBody
+from camctl.sim.devices.ptp.store import PICTURE_FOLDER, READ_ONLY, STORE, Card
+from camctl.sim.devices.still_body import Exposure, ImageFile, StillBody
 
 _LOG_LENGTH = 256  # operations in the log, and in the counter: a host may never stop
 

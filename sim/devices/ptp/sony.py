@@ -12,9 +12,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from typing import ClassVar
 
-from sim.devices.ptp.config import SONY_COMPRESSIONS, Identity
-from sim.devices.ptp.properties import DeviceProperty, aperture, battery, compression, program
-from sim.devices.ptp.protocol import (
+from camctl.sim.devices.ptp.config import SONY_COMPRESSIONS, Identity
+from camctl.sim.devices.ptp.properties import (
+    DeviceProperty,
+    aperture,
+    battery,
+    compression,
+    program,
+)
+from camctl.sim.devices.ptp.protocol import (
     Event,
     Handler,
     Operation,
@@ -26,9 +32,9 @@ from sim.devices.ptp.protocol import (
     pack_value,
     unpack_number,
 )
-from sim.devices.ptp.responder import Responder
-from sim.devices.ptp.store import ALL, StoredObject
-from sim.devices.still_body import ImageFile
+from camctl.sim.devices.ptp.responder import Responder
+from camctl.sim.devices.ptp.store import ALL, StoredObject
+from camctl.sim.devices.still_body import ImageFile
 
 BULB = 0  # shutter number
 IN_MEMORY = 0xFFFF_C001  # handle of the oldest picture in memory

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
 
-from sim.devices.ptp.protocol import Format, Reply, Response, Type, pack_list, pack_text
-from sim.devices.still_body import ImageFile
+from camctl.sim.devices.ptp.protocol import Format, Reply, Response, Type, pack_list, pack_text
+from camctl.sim.devices.still_body import ImageFile
 
 STORE = 0x0001_0001  # its id
 ROOT_FOLDER, PICTURE_FOLDER = 0x1000_0001, 0x1000_0002  # handles
@@ -72,7 +72,7 @@ class Card:
     Args:
         capacity: bytes
         formats: number of the object format of each file format
-        access: see `sim.devices.ptp.config.PtpConfig`
+        access: see `camctl.sim.devices.ptp.config.PtpConfig`
         reuses: new pictures take the lowest free number and handle
         fetched: called with the name of a file whose last byte has been sent
 

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from sim.devices.sierra.config import (
+from camctl.sim.devices.sierra.config import (
     APERTURES,
     AUTOMATIC_US,
     CARD_PRESENT,
@@ -21,7 +21,7 @@ from sim.devices.sierra.config import (
     Register,
     SierraConfig,
 )
-from sim.devices.still_body import Exposure, ImageFile, StillBody
+from camctl.sim.devices.still_body import Exposure, ImageFile, StillBody
 
 _TEXTS = {
     Register.CAMERA_ID: "E990V1.1",

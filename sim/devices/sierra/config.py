@@ -14,8 +14,8 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
-from sim.devices.common import Controllable, DeviceConfig, as_tuple
-from sim.devices.still_body import CARD_BYTES
+from camctl.sim.devices.common import Controllable, DeviceConfig, as_tuple
+from camctl.sim.devices.still_body import CARD_BYTES
 
 
 class Register(IntEnum):

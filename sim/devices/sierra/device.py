@@ -16,10 +16,10 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from sim.devices.clock import DeviceClock, RealDeviceClock, ScheduledCall
-from sim.devices.common import VirtualSensor
-from sim.devices.sierra.camera import RefusedError, SierraCamera
-from sim.devices.sierra.config import (
+from camctl.sim.devices.clock import DeviceClock, RealDeviceClock, ScheduledCall
+from camctl.sim.devices.common import VirtualSensor
+from camctl.sim.devices.sierra.camera import RefusedError, SierraCamera
+from camctl.sim.devices.sierra.config import (
     SPEEDS,
     START_SPEED,
     Action,
@@ -28,9 +28,9 @@ from sim.devices.sierra.config import (
     Register,
     SierraConfig,
 )
-from sim.devices.sierra.line import Line, TerminalLine
-from sim.devices.sierra.protocol_memory import MemoryLine
-from sim.devices.still_body import BodyOptions, StillBody, StillFaultCommands
+from camctl.sim.devices.sierra.line import Line, TerminalLine
+from camctl.sim.devices.sierra.protocol_memory import MemoryLine
+from camctl.sim.devices.still_body import BodyOptions, StillBody, StillFaultCommands
 
 NUL, DATA, LAST, ENQ, ACK, NAK, COMMAND = 0x00, 0x02, 0x03, 0x05, 0x06, 0x15, 0x1B
 INVALID, SESSION_ERROR = 0x11, 0xFC  # answers

@@ -14,8 +14,8 @@ from itertools import count
 
 import serial
 
-from sim.devices.clock import DeviceClock
-from sim.devices.sierra.line import BITS_A_BYTE, BYTES_AT_ONCE, Line
+from camctl.sim.devices.clock import DeviceClock
+from camctl.sim.devices.sierra.line import BITS_A_BYTE, BYTES_AT_ONCE, Line
 
 if __package__ not in serial.protocol_handler_packages:
     serial.protocol_handler_packages.append(__package__)

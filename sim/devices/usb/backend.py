@@ -8,7 +8,7 @@
 Errors are those that pyusb's libusb backend raises: `USBTimeoutError` with ETIMEDOUT, and
 `USBError` with EPIPE (stall), ENODEV (unplugged), EBUSY (claimed by another program), EOVERFLOW (a
 packet larger than the buffer).  A read that times out in the middle of a transfer returns the bytes
-it has, as with libusb.  Time-outs are counted on the device's clock (`sim.devices.clock`).
+it has, as with libusb.  Time-outs are counted on the device's clock (`camctl.sim.devices.clock`).
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from typing import NoReturn, Protocol
 import usb.backend
 from usb.core import USBError, USBTimeoutError
 
-from sim.devices.usb.device import IN, ControlFailure, UsbDevice
-from sim.devices.usb.endpoints import Descriptor, Read, parse_configuration, parse_device
+from camctl.sim.devices.usb.device import IN, ControlFailure, UsbDevice
+from camctl.sim.devices.usb.endpoints import Descriptor, Read, parse_configuration, parse_device
 
 BUS = 250  # no machine has so many
 

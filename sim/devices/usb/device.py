@@ -2,8 +2,8 @@
 
 Endpoints behave as on the bus: a transfer is cut into packets of the endpoint's size, and a short
 or empty packet ends the host's read.  A read for more bytes than the device has sent goes on
-waiting if the last packet was a full one.  A transport (`sim.devices.usb.backend`,
-`sim.devices.usb.vhci`) passes the host's reads, writes and control requests to the device.
+waiting if the last packet was a full one.  A transport (`camctl.sim.devices.usb.backend`,
+`camctl.sim.devices.usb.vhci`) passes the host's reads, writes and control requests to the device.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from enum import Enum, IntEnum
 from typing import Protocol
 
 from camctl.errors import UsageError
-from sim.devices.clock import DeviceClock, RealDeviceClock
-from sim.devices.common import Controllable
-from sim.devices.usb.endpoints import Pipe, Read, Transfer, parse_configuration
+from camctl.sim.devices.clock import DeviceClock, RealDeviceClock
+from camctl.sim.devices.common import Controllable
+from camctl.sim.devices.usb.endpoints import Pipe, Read, Transfer, parse_configuration
 
 IN = 0x80  # bit of an address: to the host (USB 2.0, 9.6.6)
 

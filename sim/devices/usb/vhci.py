@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from camctl.errors import CameraNotFoundError
-from sim.devices.usb.device import IN, ControlFailure, Speed, UsbDevice
-from sim.devices.usb.endpoints import Read
+from camctl.sim.devices.usb.device import IN, ControlFailure, Speed, UsbDevice
+from camctl.sim.devices.usb.endpoints import Read
 
 _CONTROLLER = Path("/sys/devices/platform/vhci_hcd.0")
 _attaching = threading.Lock()  # held from finding a free port until it is used

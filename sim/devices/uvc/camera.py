@@ -1,9 +1,9 @@
 """A webcam on USB (USB Video Class, bulk streaming) with a simulated sensor.
 
-It streams from a `sim.streaming_device.SimulatedDevice`: slots of one frame interval, a control
-delay, and few finished frames for a slow host.  A control that is written in slot k is in force
-from slot k + 1 + delay on.  An exposure ends with its slot: a shutter time longer than the frame
-interval can be set and is read back unchanged, but is silently cut to the interval.
+It streams from a `camctl.sim.streaming_device.SimulatedDevice`: slots of one frame interval, a
+control delay, and few finished frames for a slow host.  A control that is written in slot k is in
+force from slot k + 1 + delay on.  An exposure ends with its slot: a shutter time longer than the
+frame interval can be set and is read back unchanged, but is silently cut to the interval.
 
 Contents of the formats: yuyv and mjpg have luma of 8 bits (the upper ones of deeper sensors); grey,
 y10, y12, y16 and the Bayer formats have the sensor's digital numbers, in the low bits of a word.
@@ -26,11 +26,11 @@ from dataclasses import asdict
 from typing import Any
 
 from camctl.errors import UsageError
-from sim.devices.clock import DeviceClock
-from sim.devices.common import VirtualSensor
-from sim.devices.usb.device import NO_REPLY, STALL, ControlReply, UsbDevice
-from sim.devices.uvc.controls import CAN_GET_AND_SET, CONTROLS, INFO, LENGTH, SET, Controls
-from sim.devices.uvc.descriptors import (
+from camctl.sim.devices.clock import DeviceClock
+from camctl.sim.devices.common import VirtualSensor
+from camctl.sim.devices.usb.device import NO_REPLY, STALL, ControlReply, UsbDevice
+from camctl.sim.devices.uvc.controls import CAN_GET_AND_SET, CONTROLS, INFO, LENGTH, SET, Controls
+from camctl.sim.devices.uvc.descriptors import (
     FORMATS,
     INTERVALS_PER_S,
     STREAM_IN,
@@ -40,7 +40,7 @@ from sim.devices.uvc.descriptors import (
     configuration_descriptor,
     device_descriptor,
 )
-from sim.devices.uvc.stream import FrameExposure, Stream, StreamMode
+from camctl.sim.devices.uvc.stream import FrameExposure, Stream, StreamMode
 
 _PROBE, _COMMIT = 1, 2  # selectors (A.9.7)
 _PROBE_BYTES = 26  # of UVC 1.0 (4.3.1.1)

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from sim.devices.usb.device import STALL, ControlReply
+from camctl.sim.devices.usb.device import STALL, ControlReply
 
 CAMERA, PROCESSING = 1, 2  # entities: camera terminal, processing unit
 

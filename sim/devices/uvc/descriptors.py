@@ -17,8 +17,8 @@ from pydantic import BeforeValidator, Field
 from camctl.errors import UsageError, unknown_name
 from camctl.interface.backends import FrameShape
 from camctl.interface.controls import Layout
-from sim.devices.common import DeviceConfig, VirtualSensor, as_tuple
-from sim.devices.uvc.controls import CAMERA, CONTROLS, PROCESSING
+from camctl.sim.devices.common import DeviceConfig, VirtualSensor, as_tuple
+from camctl.sim.devices.uvc.controls import CAMERA, CONTROLS, PROCESSING
 
 OUTPUT = 3  # entity: output terminal
 STREAM_IN = 0x81  # address of the endpoint
@@ -115,7 +115,7 @@ class Transfer(IntEnum):
 
     @classmethod
     def of(cls, curve: object) -> Transfer:
-        """Return the characteristics of a sensor's curve (`sim.sensors.sensor.Sensor.curve`)."""
+        """Return the characteristics of the curve of a sensor."""
         return {"linear": cls.LINEAR, "srgb": cls.SRGB}.get(str(curve), cls.UNSPECIFIED)
 
 

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import ExposureSetting
+from camctl.sim.devices.clock import DeviceClock
+from camctl.sim.devices.common import VirtualSensor
+from camctl.sim.devices.uvc.controls import TICKS_PER_S
+from camctl.sim.devices.uvc.descriptors import FORMATS
+from camctl.sim.streaming_device import SimulatedDevice, Slot
 from camctl.system.picture_operations import required_opencv
-from sim.devices.clock import DeviceClock
-from sim.devices.common import VirtualSensor
-from sim.devices.uvc.controls import TICKS_PER_S
-from sim.devices.uvc.descriptors import FORMATS
-from sim.streaming_device import SimulatedDevice, Slot
 
 #: Of R, G and B in the luma of ITU-R BT.601.
 _LUMA_WEIGHTS = np.array([0.299, 0.587, 0.114], np.float32)
@@ -28,7 +28,7 @@ class StreamMode:
     """The mode of a stream.
 
     Attributes:
-        format: name in `sim.devices.uvc.descriptors.FORMATS`
+        format: name in `camctl.sim.devices.uvc.descriptors.FORMATS`
         interval_s: between frames
         delay, jitter: control delay of exposure and gain, frames; up to so many more at random
         is_limited: the luma of yuyv is mapped to 16..235

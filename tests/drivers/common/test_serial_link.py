@@ -15,6 +15,9 @@ import pytest
 import serial
 from error_lines import one_line
 
+from camctl.drivers.common.serial_link import SerialLink
+from camctl.drivers.coolpix.sierra.packets import Register
+from camctl.drivers.coolpix.sierra.session import Sierra
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -24,9 +27,6 @@ from camctl.errors import (
     UsageError,
 )
 from camctl.interface.clock import RealClock
-from drivers.common.serial_link import SerialLink
-from drivers.coolpix.sierra.packets import Register
-from drivers.coolpix.sierra.session import Sierra
 
 
 @pytest.fixture
@@ -196,7 +196,7 @@ class TestLine:
     def test_a_line_that_accepts_nothing_is_a_time_out(
         self, pty: tuple[int, str], monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("drivers.common.serial_link._WRITE_TIMEOUT_S", 0.2)
+        monkeypatch.setattr("camctl.drivers.common.serial_link._WRITE_TIMEOUT_S", 0.2)
         link = SerialLink(pty[1], 19200)
         with closing(link), pytest.raises(CameraTimeoutError, match="accepted no data"):
             link.write(bytes(1 << 20))

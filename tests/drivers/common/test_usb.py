@@ -12,6 +12,15 @@ import pytest
 import usb.core
 import usb.util
 
+from camctl.drivers.common.device_holders import Holder, holding
+from camctl.drivers.common.usb import (
+    UDEV_RULES,
+    StalledError,
+    claim_interface,
+    device_name,
+    usb_error,
+    usb_identity,
+)
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -19,15 +28,6 @@ from camctl.errors import (
     CameraNotFoundError,
     CameraProtocolError,
     CameraTimeoutError,
-)
-from drivers.common.device_holders import Holder, holding
-from drivers.common.usb import (
-    UDEV_RULES,
-    StalledError,
-    claim_interface,
-    device_name,
-    usb_error,
-    usb_identity,
 )
 
 
@@ -64,7 +64,7 @@ def test_a_camera_claimed_by_the_desktop_names_the_process(monkeypatch: pytest.M
         raise usb.core.USBError("Resource busy", -6, errno.EBUSY)
 
     monkeypatch.setattr(usb.util, "claim_interface", claim)
-    monkeypatch.setattr("drivers.common.usb.holding", lambda node: iter([monitor]))
+    monkeypatch.setattr("camctl.drivers.common.usb.holding", lambda node: iter([monitor]))
     message = r"by another program: gvfs-gphoto2-volume-monitor \(process 4711\); .*unmount it"
     with pytest.raises(CameraBusyError, match=message):
         claim_interface(Claimed(), 0, "the camera")
@@ -148,7 +148,7 @@ class TestIdentity:
     ) -> None:
         denied = ValueError("The device has no langid (permission issue, no string descriptors)")
         self.read_strings(monkeypatch, denied, denied, denied)
-        monkeypatch.setattr("drivers.common.usb._SYSFS", tmp_path)
+        monkeypatch.setattr("camctl.drivers.common.usb._SYSFS", tmp_path)
         (tmp_path / "3-1.4").mkdir()
         (tmp_path / "3-1.4" / "serial").write_text("A77\n")
         info = usb_identity(Device(), "ptp")

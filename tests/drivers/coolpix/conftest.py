@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 from coolpix_bench import virtual_coolpix
 
-from sim.devices.sierra.device import SierraDevice
+from camctl.sim.devices.sierra.device import SierraDevice
 
 
 @pytest.fixture

@@ -16,15 +16,15 @@ from coolpix_bench import (
     virtual_coolpix,
 )
 
+from camctl.drivers.coolpix.camera import CoolpixCamera
+from camctl.drivers.coolpix.settings import CANDIDATES_US
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureSetting, Layout
 from camctl.profiles.profile import StillRecord, change_profile, load_profile
+from camctl.sim.devices.sierra.config import SHUTTER_US
+from camctl.sim.devices.sierra.device import SierraDevice
 from camctl.stills.decoding import read_still
 from camctl.testing.conformance import CameraConformance
-from drivers.coolpix.camera import CoolpixCamera
-from drivers.coolpix.settings import CANDIDATES_US
-from sim.devices.sierra.config import SHUTTER_US
-from sim.devices.sierra.device import SierraDevice
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
 

@@ -18,6 +18,7 @@ from coolpix_bench import (
 )
 from error_lines import one_line
 
+from camctl.drivers.coolpix.sierra.packets import Action, Register
 from camctl.errors import (
     CameraDisconnectedError,
     CameraError,
@@ -25,9 +26,8 @@ from camctl.errors import (
     CameraTimeoutError,
     RefusedSettingError,
 )
-from drivers.coolpix.sierra.packets import Action, Register
-from sim.devices.sierra.camera import RefusedError
-from sim.devices.sierra.device import SierraDevice
+from camctl.sim.devices.sierra.camera import RefusedError
+from camctl.sim.devices.sierra.device import SierraDevice
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
 TIMEOUT_S = 12.0  # of the driver, unless it is given another

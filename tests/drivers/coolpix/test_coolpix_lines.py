@@ -15,11 +15,11 @@ import serial
 from coolpix_bench import SETTINGS, check_unplugged, coolpix_on, shoot, virtual_coolpix
 from error_lines import one_line
 
+from camctl.drivers.coolpix.backend import CoolpixBackend, probe_lines
+from camctl.drivers.coolpix.camera import CoolpixCamera, CoolpixOptions
 from camctl.errors import CameraBusyError, CameraDisconnectedError, CameraNotFoundError, UsageError
-from drivers.coolpix.backend import CoolpixBackend, probe_lines
-from drivers.coolpix.camera import CoolpixCamera, CoolpixOptions
-from sim.devices.clock import RealDeviceClock
-from sim.devices.sierra.device import SierraDevice
+from camctl.sim.devices.clock import RealDeviceClock
+from camctl.sim.devices.sierra.device import SierraDevice
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
 
@@ -150,7 +150,7 @@ class TestProbing:
         def fail() -> list[str]:
             raise AssertionError("ports were listed")
 
-        monkeypatch.setattr("drivers.coolpix.backend.serial_ports", fail)
+        monkeypatch.setattr("camctl.drivers.coolpix.backend.serial_ports", fail)
         assert CoolpixBackend().discover() == ()
 
     def test_a_camera_is_found_among_other_ports(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,9 +158,9 @@ class TestProbing:
         with virtual_coolpix(clock) as device, virtual_coolpix(clock) as dead:
             dead.do("hang")
             urls = [device.line.path, dead.line.path, "/dev/no-such-port"]
-            monkeypatch.setattr("drivers.coolpix.backend.serial_ports", lambda: urls)
-            monkeypatch.setattr("drivers.coolpix.backend._PROBE_S", 60.0)
-            monkeypatch.setattr("drivers.coolpix.backend._PORT_TIMEOUT_S", 60.0)
+            monkeypatch.setattr("camctl.drivers.coolpix.backend.serial_ports", lambda: urls)
+            monkeypatch.setattr("camctl.drivers.coolpix.backend._PROBE_S", 60.0)
+            monkeypatch.setattr("camctl.drivers.coolpix.backend._PORT_TIMEOUT_S", 60.0)
             (found,) = CoolpixBackend().discover(probe=True)
             assert found.id == f"coolpix:{device.line.path}"
             assert (found.make, found.model, found.serial) == ("NIKON", "E990", "CP990001")
@@ -174,7 +174,7 @@ class TestProbing:
             end.wait()
             raise CameraNotFoundError(f"there is no {url}")
 
-        monkeypatch.setattr("drivers.coolpix.backend.SerialLink", blocking)
+        monkeypatch.setattr("camctl.drivers.coolpix.backend.SerialLink", blocking)
         try:
             assert probe_lines(["/dev/ttyS0"], 0.05) == []
         finally:

@@ -8,13 +8,13 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from camctl.drivers.coolpix.pictures import CardPicture, download, is_next, wait_for_picture
+from camctl.drivers.coolpix.sierra.packets import RefusedCommandError, Register
+from camctl.drivers.coolpix.sierra.session import Sierra
 from camctl.errors import CameraProtocolError
 from camctl.interface.clock import VirtualClock
 from camctl.interface.controls import Layout
-from drivers.coolpix.pictures import CardPicture, download, is_next, wait_for_picture
-from drivers.coolpix.sierra.packets import RefusedCommandError, Register
-from drivers.coolpix.sierra.session import Sierra
-from sim.devices.still_files import RawImage, encode
+from camctl.sim.devices.still_files import RawImage, encode
 
 GREY = np.arange(64, dtype=np.uint8).reshape(8, 8)
 JPEG = encode("jpeg", RawImage(GREY, Layout.MONO, 8, 0, 255, 0.5))

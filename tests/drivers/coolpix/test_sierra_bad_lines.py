@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sierra_model import PICTURE, Camera, line_of, session
 
+from camctl.drivers.coolpix.sierra.packets import Action, Register
 from camctl.errors import CameraError
-from drivers.coolpix.sierra.packets import Action, Register
 
 Act = TypeVar("Act")
 

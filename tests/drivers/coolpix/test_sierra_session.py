@@ -20,8 +20,7 @@ from sierra_model import (
     session,
 )
 
-from camctl.errors import CameraError, CameraProtocolError, CameraTimeoutError, UsageError
-from drivers.coolpix.sierra.packets import (
+from camctl.drivers.coolpix.sierra.packets import (
     Action,
     RefusedCommandError,
     Register,
@@ -30,6 +29,7 @@ from drivers.coolpix.sierra.packets import (
     command_packet,
     receive,
 )
+from camctl.errors import CameraError, CameraProtocolError, CameraTimeoutError, UsageError
 
 
 def first_time(condition: Callable[[bytes], bool]) -> Callable[[bytes], bool]:

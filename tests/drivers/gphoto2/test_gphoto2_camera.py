@@ -17,6 +17,11 @@ import numpy as np
 import pytest
 
 from camctl.captures.sequencer import capture
+from camctl.drivers.gphoto2 import process
+from camctl.drivers.gphoto2.backend import Gphoto2Backend, Listed
+from camctl.drivers.gphoto2.body import Body
+from camctl.drivers.gphoto2.camera import Gphoto2Camera, Gphoto2Options
+from camctl.drivers.gphoto2.process import CameraProcess, LibraryError
 from camctl.errors import (
     CamctlError,
     CameraBusyError,
@@ -33,11 +38,6 @@ from camctl.interface.backends import is_local, list_cameras
 from camctl.interface.camera import CameraInfo
 from camctl.interface.clock import VirtualClock
 from camctl.interface.controls import Choices, ExposureSetting, ResponseOrigin
-from drivers.gphoto2 import process
-from drivers.gphoto2.backend import Gphoto2Backend, Listed
-from drivers.gphoto2.body import Body
-from drivers.gphoto2.camera import Gphoto2Camera, Gphoto2Options
-from drivers.gphoto2.process import CameraProcess, LibraryError
 
 PORT = "usb:001,001"
 TIMES_S = (0.0012, 0.0025, 0.005, 0.01, 0.02, 0.05, 0.1, 1.0)
@@ -208,7 +208,7 @@ class TestVirtualCamera:
         """What the file states decides, as with every still camera."""
         list(shared.shoot(settings(0.01)))
         monkeypatch.setattr(
-            "drivers.common.known_format.stated_exposure",
+            "camctl.drivers.common.known_format.stated_exposure",
             lambda data: type("Stated", (), {"time_s": 0.5, "gain": None, "f_number": None}),
         )
         with pytest.raises(CameraProtocolError, match=r"states an exposure time of 0\.5 s, but"):

@@ -11,11 +11,11 @@ import pytest
 from network_bench import camera_on_tcp
 
 import camctl
+from camctl.drivers.gphoto2.process import FullError
 from camctl.errors import CameraError
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureSetting
-from drivers.gphoto2.process import FullError
-from sim.devices.ptp.network import NetworkCamera as VirtualCamera
+from camctl.sim.devices.ptp.network import NetworkCamera as VirtualCamera
 
 #: From one end of the dial to the other, which libgphoto2 does in steps on a Sony.
 TIMES_S = (1 / 8000, 1 / 8, 1 / 1000)

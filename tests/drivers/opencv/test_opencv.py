@@ -12,6 +12,11 @@ import pytest
 from mjpg_server import SHAPE, NetworkCamera, network_camera, picture
 
 from camctl.captures.sequencer import capture
+from camctl.drivers.opencv import video
+from camctl.drivers.opencv.backend import OpencvBackend
+from camctl.drivers.opencv.camera import OpencvCamera, OpencvOptions
+from camctl.drivers.opencv.controls import PropertyExposure
+from camctl.drivers.opencv.video import Address, Video
 from camctl.errors import (
     CamctlError,
     CameraDisconnectedError,
@@ -27,11 +32,6 @@ from camctl.interface.camera import Camera
 from camctl.interface.clock import RealClock
 from camctl.interface.controls import Choices, ExposureSetting, Layout, ResponseOrigin, Steps
 from camctl.testing.conformance import CameraConformance
-from drivers.opencv import video
-from drivers.opencv.backend import OpencvBackend
-from drivers.opencv.camera import OpencvCamera, OpencvOptions
-from drivers.opencv.controls import PropertyExposure
-from drivers.opencv.video import Address, Video
 
 
 @pytest.fixture(autouse=True)

@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 from ptp_bodies import row, turned_to_manual
 
-from sim.devices.ptp.body_facts import MAKERS, bodies, load_body
-from sim.devices.ptp.nikon import NikonResponder
-from sim.devices.ptp.protocol import Response
-from sim.devices.ptp.responder import Responder
+from camctl.sim.devices.ptp.body_facts import MAKERS, bodies, load_body
+from camctl.sim.devices.ptp.nikon import NikonResponder
+from camctl.sim.devices.ptp.protocol import Response
+from camctl.sim.devices.ptp.responder import Responder
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
 PAGE = Path(__file__).parents[3] / "docs/reference/bodies.md"

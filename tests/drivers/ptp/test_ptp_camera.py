@@ -12,6 +12,8 @@ import pytest
 import usb.core
 from ptp_bench import bench, camera_on, settings_at, shoot, virtual_sensor
 
+from camctl.drivers.ptp.backend import PtpBackend
+from camctl.drivers.ptp.camera import PtpCamera, PtpOptions
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -25,10 +27,8 @@ from camctl.errors import (
 from camctl.interface.camera import OriginalFile
 from camctl.interface.controls import Choices, Control, ExposureSetting, Layout, ResponseOrigin
 from camctl.profiles.profile import StillRecord, change_profile, load_profile
-from drivers.ptp.backend import PtpBackend
-from drivers.ptp.camera import PtpCamera, PtpOptions
-from sim.devices.ptp.camera import PtpCamera as VirtualCamera
-from sim.devices.ptp.protocol import Reply
+from camctl.sim.devices.ptp.camera import PtpCamera as VirtualCamera
+from camctl.sim.devices.ptp.protocol import Reply
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
 VENDORS = ["none", "nikon", "canon", "sony", "fuji", "olympus", "panasonic"]
@@ -148,7 +148,7 @@ class TestFileFormat:
         def fail(*_: object) -> None:
             raise StorageError("the disk is full")
 
-        monkeypatch.setattr("drivers.common.still_camera.change_profile", fail)
+        monkeypatch.setattr("camctl.drivers.common.still_camera.change_profile", fail)
         with camera_on() as (camera, _):
             (note,) = [note for note in camera.controls.notes if "could not be saved" in note]
             assert note.endswith("its profile: the disk is full")

@@ -11,9 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camctl.errors import CameraError, CameraProtocolError
-from camctl.interface.controls import Choices, Steps
-from drivers.ptp.datasets import (
+from camctl.drivers.ptp.datasets import (
     DeviceInfo,
     ObjectInfo,
     PropertyDescription,
@@ -21,8 +19,8 @@ from drivers.ptp.datasets import (
     StorageInfo,
     pack_integer,
 )
-from drivers.ptp.dialects import STANDARD, Dialect
-from drivers.ptp.dials import (
+from camctl.drivers.ptp.dialects import STANDARD, Dialect
+from camctl.drivers.ptp.dials import (
     Scale,
     eos_f_number,
     eos_gain,
@@ -37,7 +35,7 @@ from drivers.ptp.dials import (
     ten_thousandths,
     tenths,
 )
-from drivers.ptp.maker_datasets import (
+from camctl.drivers.ptp.maker_datasets import (
     EosEvents,
     pack_eos_property,
     parse_nikon_events,
@@ -45,12 +43,14 @@ from drivers.ptp.maker_datasets import (
     parse_panasonic_value,
     parse_sony_properties,
 )
-from drivers.ptp.makers import (
+from camctl.drivers.ptp.makers import (
     CANON_EOS,
     NIKON,
     SONY,
     dialect_of,
 )
+from camctl.errors import CameraError, CameraProtocolError
+from camctl.interface.controls import Choices, Steps
 
 Parser = Callable[[bytes], object]
 PARSERS: dict[str, Parser] = {

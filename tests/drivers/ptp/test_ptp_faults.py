@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from ptp_bench import bench, camera_on, settings_at, shoot
 
+from camctl.drivers.ptp.camera import PtpCamera
+from camctl.drivers.ptp.transport import CAPTURE_S, NORMAL_S
 from camctl.errors import (
     CamctlError,
     CameraBusyError,
@@ -21,10 +23,8 @@ from camctl.errors import (
     CameraTimeoutError,
 )
 from camctl.interface.camera import Frame
-from drivers.ptp.camera import PtpCamera
-from drivers.ptp.transport import CAPTURE_S, NORMAL_S
-from sim.devices.ptp.camera import PtpCamera as VirtualCamera
-from sim.devices.ptp.protocol import Reply
+from camctl.sim.devices.ptp.camera import PtpCamera as VirtualCamera
+from camctl.sim.devices.ptp.protocol import Reply
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
 VENDORS = ["none", "nikon", "canon", "sony", "fuji", "olympus", "panasonic"]

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from ptp_bench import bench, camera_on, operations, settings_at, shoot
 
+from camctl.drivers.ptp import makers
+from camctl.drivers.ptp.camera import PtpCamera
+from camctl.drivers.ptp.makers import NIKON, dialect_of
 from camctl.errors import CameraError, CameraProtocolError
 from camctl.interface.controls import Choices, ExposureSetting
-from drivers.ptp import makers
-from drivers.ptp.camera import PtpCamera
-from drivers.ptp.makers import NIKON, dialect_of
-from sim.devices.ptp.protocol import Reply
+from camctl.sim.devices.ptp.protocol import Reply
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from ptp_bench import bench, camera_on, settings_at, shoot
 
+from camctl.drivers.ptp.shooting import Shooter
 from camctl.errors import CameraError, CameraProtocolError, CameraTimeoutError
 from camctl.interface.controls import ExposureSetting, Layout
 from camctl.profiles.profile import StillRecord, change_profile, load_profile
-from drivers.ptp.shooting import Shooter
-from sim.devices.ptp.camera import PtpCamera as VirtualCamera
-from sim.devices.ptp.protocol import Format, Reply
-from sim.devices.ptp.store import PICTURE_FOLDER, StoredObject
-from sim.devices.still_files import RawImage, encode
+from camctl.sim.devices.ptp.camera import PtpCamera as VirtualCamera
+from camctl.sim.devices.ptp.protocol import Format, Reply
+from camctl.sim.devices.ptp.store import PICTURE_FOLDER, StoredObject
+from camctl.sim.devices.still_files import RawImage, encode
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
 BUSY = 0x2019

@@ -24,6 +24,10 @@ from network_bench import (
 from ptp_bench import camera_on, in_force, settings_at, shoot
 
 import camctl
+from camctl.drivers.ptp.codes import OK, Op
+from camctl.drivers.ptp.network_link import HEADER, Address, Packet, PacketLink
+from camctl.drivers.ptp.session import Session
+from camctl.drivers.ptp.transport import EVENT
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -36,12 +40,8 @@ from camctl.errors import (
 from camctl.interface.camera import Camera
 from camctl.interface.clock import VirtualClock
 from camctl.interface.controls import ExposureSetting
+from camctl.sim.devices.ptp.network import NetworkCamera as VirtualCamera
 from camctl.testing.conformance import CameraConformance
-from drivers.ptp.codes import OK, Op
-from drivers.ptp.network_link import HEADER, Address, Packet, PacketLink
-from drivers.ptp.session import Session
-from drivers.ptp.transport import EVENT
-from sim.devices.ptp.network import NetworkCamera as VirtualCamera
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
 

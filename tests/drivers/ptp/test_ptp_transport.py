@@ -14,6 +14,8 @@ import usb.core
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from camctl.drivers.ptp.transport import DATA, RESPONSE, IncompleteDataError
+from camctl.drivers.ptp.usb_transport import UsbTransport
 from camctl.errors import (
     CameraDisconnectedError,
     CameraError,
@@ -22,8 +24,6 @@ from camctl.errors import (
     CameraTimeoutError,
 )
 from camctl.interface.clock import VirtualClock
-from drivers.ptp.transport import DATA, RESPONSE, IncompleteDataError
-from drivers.ptp.usb_transport import UsbTransport
 
 PACKET = 64
 OK, BUSY = 0x2001, 0x2019

@@ -13,7 +13,7 @@ import pytest
 import vusb_backend
 
 from camctl.interface.controls import Layout
-from sim.devices.still_files import RawImage, encode
+from camctl.sim.devices.still_files import RawImage, encode
 
 CLIENT = Path(vusb_backend.__file__).with_name("vusb_client.py")
 

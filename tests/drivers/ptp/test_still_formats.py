@@ -7,11 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from camctl.drivers.common.known_format import (
+    FORMATS,
+    FormatChangedError,
+    KnownFormat,
+    matched_pixels,
+)
+from camctl.drivers.ptp.datasets import ObjectInfo
+from camctl.drivers.ptp.still_formats import format_of
 from camctl.interface.controls import Layout
 from camctl.stills.decoding import Still
-from drivers.common.known_format import FORMATS, FormatChangedError, KnownFormat, matched_pixels
-from drivers.ptp.datasets import ObjectInfo
-from drivers.ptp.still_formats import format_of
 
 SAMPLES = np.array([[64, 70, 1000, 4000], [4095, 66, 65, 200]], np.uint16)
 STILL = Still(SAMPLES, Layout.RGGB, 12, black=64, white=4000)

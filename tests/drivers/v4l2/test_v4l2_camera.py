@@ -13,6 +13,17 @@ import pytest
 from v4l2_bench import one_frame, open_model, opening_error
 from v4l2_model import PATH, Model, Register, ticks_of
 
+from camctl.drivers.v4l2.abi import (
+    Caps,
+    ControlFlag,
+    ControlId,
+    ControlType,
+    ControlValue,
+    Request,
+    StreamParameters,
+)
+from camctl.drivers.v4l2.camera import V4l2Camera
+from camctl.drivers.v4l2.system import camera_error, processes_using
 from camctl.errors import (
     CamctlError,
     CameraBusyError,
@@ -26,17 +37,6 @@ from camctl.errors import (
 from camctl.interface.camera import PreviewingCamera, StreamingCamera
 from camctl.interface.controls import Choices, ExposureSetting, Layout, Steps
 from camctl.messages.plain import sentence
-from drivers.v4l2.abi import (
-    Caps,
-    ControlFlag,
-    ControlId,
-    ControlType,
-    ControlValue,
-    Request,
-    StreamParameters,
-)
-from drivers.v4l2.camera import V4l2Camera
-from drivers.v4l2.system import camera_error, processes_using
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
 #: Value of each automatic function that is turned off, and the default of the gain.

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from v4l2_model import Model
 
+from camctl.drivers.v4l2.abi import Caps, Request
+from camctl.drivers.v4l2.backend import find_cameras
+from camctl.drivers.v4l2.kernel import Memory
+from camctl.drivers.v4l2.system import node_paths, stable_path
 from camctl.errors import CameraError
-from drivers.v4l2.abi import Caps, Request
-from drivers.v4l2.backend import find_cameras
-from drivers.v4l2.kernel import Memory
-from drivers.v4l2.system import node_paths, stable_path
 
 LINK = "usb-Maker_Cam_S1-video-index0"
 

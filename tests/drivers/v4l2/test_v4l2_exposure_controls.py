@@ -7,9 +7,9 @@ import pytest
 from v4l2_bench import open_model, opening_error
 from v4l2_model import PATH, Model, Register, brightness
 
+from camctl.drivers.v4l2.abi import ControlId, ControlType
 from camctl.errors import CameraError, RefusedSettingError, UsageError
 from camctl.interface.controls import Choices, ExposureSetting, Steps
-from drivers.v4l2.abi import ControlId, ControlType
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
 

@@ -17,15 +17,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from v4l2_model import PATH, Model
 
+from camctl.drivers.v4l2 import abi
+from camctl.drivers.v4l2.abi import ControlId, Request
+from camctl.drivers.v4l2.camera import V4l2Camera
+from camctl.drivers.v4l2.formats import FORMATS, PixelFormat
+from camctl.drivers.v4l2.kernel import Linux, Memory
+from camctl.drivers.v4l2.node import MOST_FORMATS, MOST_INTERVALS, MOST_SIZES, Node, SizeGrid
+from camctl.drivers.v4l2.packing import WORDS, DamagedFrameError
 from camctl.errors import CamctlError, CameraProtocolError
 from camctl.interface.controls import Layout
-from drivers.v4l2 import abi
-from drivers.v4l2.abi import ControlId, Request
-from drivers.v4l2.camera import V4l2Camera
-from drivers.v4l2.formats import FORMATS, PixelFormat
-from drivers.v4l2.kernel import Linux, Memory
-from drivers.v4l2.node import MOST_FORMATS, MOST_INTERVALS, MOST_SIZES, Node, SizeGrid
-from drivers.v4l2.packing import WORDS, DamagedFrameError
 
 #: Number of each ioctl, its structure, and the size of that in bytes, as printed by a C program
 #: with linux/videodev2.h on x86-64.

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from camctl.drivers.v4l2.backend import V4l2Backend
+from camctl.drivers.v4l2.camera import V4l2Camera, V4l2Options
 from camctl.errors import CameraError, CameraNotFoundError, UsageError
-from drivers.v4l2.backend import V4l2Backend
-from drivers.v4l2.camera import V4l2Camera, V4l2Options
 
 NOBODY = 65534
 

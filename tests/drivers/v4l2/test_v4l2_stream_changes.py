@@ -13,6 +13,7 @@ from v4l2_model import PATH, Model, ticks_of
 
 from camctl.calibration.delay import measure_delay
 from camctl.captures.sequencer import capture
+from camctl.drivers.v4l2.abi import ControlId
 from camctl.errors import (
     CameraDisconnectedError,
     CameraProtocolError,
@@ -20,7 +21,6 @@ from camctl.errors import (
     RefusedSettingError,
 )
 from camctl.exposure.goal import CaptureRequest
-from drivers.v4l2.abi import ControlId
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
 

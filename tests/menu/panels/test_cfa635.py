@@ -10,10 +10,10 @@ from panel_fakes import FakeJob
 from virtual_cfa635 import User, VirtualCfa635, checksum
 
 from camctl.errors import UsageError
-from menu.app import run
-from menu.panels.cfa635 import Cfa635Panel
-from menu.panels.cfa635_packets import LONGEST_DATA, Packet, PacketReader
-from menu.ports import Line, Mood, PanelDisconnectedError, Screen
+from camctl.menu.app import run
+from camctl.menu.panels.cfa635 import Cfa635Panel
+from camctl.menu.panels.cfa635_packets import LONGEST_DATA, Packet, PacketReader
+from camctl.menu.ports import Line, Mood, PanelDisconnectedError, Screen
 
 ENDING = (("exit", "[Set]"), ("exit", "Quit the menu?"), ("right", "[Quit]"), ("enter", ""))
 SHOOTING = (

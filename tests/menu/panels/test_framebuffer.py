@@ -11,10 +11,10 @@ import pytest
 
 from camctl.errors import CamctlError, UsageError
 from camctl.interface.clock import VirtualClock
-from menu.drawing import Drawing, draw
-from menu.panels.framebuffer import FramebufferPanel
-from menu.panels.input_keys import InputKeys
-from menu.ports import Key, Line, Screen
+from camctl.menu.drawing import Drawing, draw
+from camctl.menu.panels.framebuffer import FramebufferPanel
+from camctl.menu.panels.input_keys import InputKeys
+from camctl.menu.ports import Key, Line, Screen
 
 SCREEN = Screen(Line(("Ready",)), lines=(Line(("one",)),), actions=("Set",))
 RGB565 = ((11, 5), (5, 6), (0, 5))
@@ -145,7 +145,7 @@ def test_input_devices_without_permission_are_shown_until_one_can_be_read(
         texts.append((*screen.title.texts, *screen.paragraphs))
         return draw(screen, columns, rows)
 
-    monkeypatch.setattr("menu.panels.framebuffer.draw", drawn)
+    monkeypatch.setattr("camctl.menu.panels.framebuffer.draw", drawn)
     with panel:
         panel.show(SCREEN)
         assert panel.key(0) is None

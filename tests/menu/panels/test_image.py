@@ -12,12 +12,12 @@ from panel_fakes import FakeJob
 
 from camctl.errors import UsageError
 from camctl.interface.clock import VirtualClock
-from menu.app import run
-from menu.drawing import draw
-from menu.model import State
-from menu.panels.image import ImagePanel
-from menu.ports import Key
-from menu.screens import screen
+from camctl.menu.app import run
+from camctl.menu.drawing import draw
+from camctl.menu.model import State
+from camctl.menu.panels.image import ImagePanel
+from camctl.menu.ports import Key
+from camctl.menu.screens import screen
 from tests.menu.test_machine import FULL
 
 

@@ -16,20 +16,20 @@ from pseudo_terminal import HELPERS, Terminal, program_environment
 
 from camctl.errors import UsageError
 from camctl.interface.backends import PANELS, load
-from menu.panels.terminal import TerminalPanel
+from camctl.menu.panels.terminal import TerminalPanel
 
 MENU = """
 from panel_fakes import FakeJob
-from menu.app import run
-from menu.panels.terminal import TerminalPanel
+from camctl.menu.app import run
+from camctl.menu.panels.terminal import TerminalPanel
 print("returned", run(TerminalPanel(), FakeJob))
 """
 MENU_THAT_KEEPS_SHOOTING = """
 import sys
 from camctl.system.interrupts import Interrupt, run_interruptible, signal_handlers
 from panel_fakes import FakeJob
-from menu.app import run
-from menu.panels.terminal import TerminalPanel
+from camctl.menu.app import run
+from camctl.menu.panels.terminal import TerminalPanel
 job = FakeJob()
 job.frame_may_end.clear()
 with signal_handlers():
@@ -41,8 +41,8 @@ with signal_handlers():
 MENU_WITH_ERROR_BEYOND_ASCII = """
 from camctl.errors import CaptureError
 from panel_fakes import FakeJob
-from menu.app import run
-from menu.panels.terminal import TerminalPanel
+from camctl.menu.app import run
+from camctl.menu.panels.terminal import TerminalPanel
 class FailingJob(FakeJob):
     def plan(self, choice, cancelled):
         raise CaptureError("nichts für uns")
@@ -50,7 +50,7 @@ run(TerminalPanel(), FailingJob)
 """
 OPEN_PANEL = """
 from camctl.errors import CamctlError
-from menu.panels.terminal import TerminalPanel
+from camctl.menu.panels.terminal import TerminalPanel
 try:
     TerminalPanel().__enter__()
 except CamctlError as error:

@@ -17,10 +17,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from camctl.errors import UsageError
+from camctl.menu.drawing import draw
+from camctl.menu.panels.web import SIZE, WebPanel
+from camctl.menu.ports import Key, Line, Screen
 from camctl.system.picture_operations import png
-from menu.drawing import draw
-from menu.panels.web import SIZE, WebPanel
-from menu.ports import Key, Line, Screen
 
 SCREEN = Screen(Line(("Ready",)), lines=(Line(("one",)),), actions=("Set",))
 

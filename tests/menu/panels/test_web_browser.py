@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 from panel_fakes import FakeJob
 
-from menu.app import run
-from menu.panels.web import WebPanel
+from camctl.menu.app import run
+from camctl.menu.panels.web import WebPanel
 
 pytestmark = [
     pytest.mark.slow,

@@ -6,7 +6,7 @@ from functools import partial
 
 import pytest
 
-from sim.devices.clock import RealDeviceClock, VirtualDeviceClock
+from camctl.sim.devices.clock import RealDeviceClock, VirtualDeviceClock
 
 
 def test_scheduled_calls_are_made_at_their_times_and_in_their_order() -> None:

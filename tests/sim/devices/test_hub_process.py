@@ -18,10 +18,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camctl.errors import CameraTimeoutError, DataError, UsageError
-from sim.devices.hub import CONTROL, KINDS, Hub, make_device, read_config, run
-from sim.devices.ptp.camera import PtpCamera
-from sim.devices.usb.vhci import VhciPort
-from sim.devices.uvc.camera import UvcCamera
+from camctl.sim.devices.hub import CONTROL, KINDS, Hub, make_device, read_config, run
+from camctl.sim.devices.ptp.camera import PtpCamera
+from camctl.sim.devices.usb.vhci import VhciPort
+from camctl.sim.devices.uvc.camera import UvcCamera
 
 SCENE = {"scene": "ramp", "sensor": "ideal-8", "size": "40x30"}
 COOLPIX = {"name": "coolpix", "kind": "sierra", "line": "pty", **SCENE}
@@ -153,7 +153,7 @@ def test_the_module_of_a_kind_makes_devices(module: str) -> None:
 )
 def test_without_the_kernels_controller_the_error_says_how_to_load_it(tmp_path: Path) -> None:
     config = write_config(tmp_path, [COOLPIX, {"name": "w", "kind": "uvc", **SCENE}])
-    command = [sys.executable, "-m", "sim.devices", "--dir", str(tmp_path), str(config)]
+    command = [sys.executable, "-m", "camctl.sim.devices", "--dir", str(tmp_path), str(config)]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ended.returncode == 1
     assert "this kernel has no virtual USB controller; run modprobe vhci-hcd" in ended.stderr

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from camctl.errors import UsageError
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import Layout
-from sim.devices.still_files import RawImage, encode, thumbnail
+from camctl.sim.devices.still_files import RawImage, encode, thumbnail
 
 MOSAICS = [layout for layout in Layout if layout.is_mosaic]
 

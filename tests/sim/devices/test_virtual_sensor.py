@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from camctl.interface.controls import ExposureSetting
-from sim.camera import SimulatedCamera
-from sim.devices.common import VirtualSensor
-from sim.scenes.scene import load_scene
-from sim.sensors.sensor import load_sensor
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.devices.common import VirtualSensor
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import load_sensor
 
 TIMES = (0.001, 0.004, 0.0001, 0.001, 0.0123)
 

@@ -18,15 +18,15 @@ import pytest
 from numpy.typing import NDArray
 
 from camctl.interface.camera import Pixels
-from sim.effects.bounds import Bounds
-from sim.effects.budget import greedy, plan_frame
-from sim.effects.record import Shot
-from sim.render import Renderer
-from sim.scenes.motion import Lamps, PwmLamps, Target
-from sim.scenes.scene import Scene, load_scene
-from sim.scenes.view import Light, View
-from sim.sensors.parts import Dark, Lens
-from sim.sensors.sensor import Sensor, load_sensor
+from camctl.sim.effects.bounds import Bounds
+from camctl.sim.effects.budget import greedy, plan_frame
+from camctl.sim.effects.record import Shot
+from camctl.sim.render import Renderer
+from camctl.sim.scenes.motion import Lamps, PwmLamps, Target
+from camctl.sim.scenes.scene import Scene, load_scene
+from camctl.sim.scenes.view import Light, View
+from camctl.sim.sensors.parts import Dark, Lens
+from camctl.sim.sensors.sensor import Sensor, load_sensor
 
 CASES = 833  # 10,000 in all
 CHUNKS = 12

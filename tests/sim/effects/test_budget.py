@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 
 from camctl.errors import UsageError
 from camctl.interface.controls import ExposureSetting
-from sim.camera import SimulatedCamera
-from sim.effects import EFFECTS, effect_names
-from sim.effects.bounds import Bounds, absolute_shift, relative_shift
-from sim.effects.budget import FramePlan, candidates, greedy, plan_frame, saved
-from sim.effects.charge import cosmic_hits
-from sim.effects.record import Shot
-from sim.noise import TileNoise, largest_noise, normal_quantiles
-from sim.render import Renderer
-from sim.scenes.scene import load_scene
-from sim.scenes.view import View
-from sim.sensors.sensor import load_sensor
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.effects import EFFECTS, effect_names
+from camctl.sim.effects.bounds import Bounds, absolute_shift, relative_shift
+from camctl.sim.effects.budget import FramePlan, candidates, greedy, plan_frame, saved
+from camctl.sim.effects.charge import cosmic_hits
+from camctl.sim.effects.record import Shot
+from camctl.sim.noise import TileNoise, largest_noise, normal_quantiles
+from camctl.sim.render import Renderer
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.scenes.view import View
+from camctl.sim.sensors.sensor import load_sensor
 
 EFFECT = {effect.name: effect for effect in EFFECTS}
 

@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 import camctl.interface.camera
 from camctl.interface.controls import Layout
-from sim.effects import EFFECTS
-from sim.effects.budget import plan_frame
-from sim.effects.charge import cosmic_hits
-from sim.noise import TILE
-from sim.render import Renderer
-from sim.scenes.motion import Lamps, Target
-from sim.scenes.scene import Scene, load_scene
-from sim.scenes.view import View
-from sim.sensors.parts import Dark, Lens, Pixels, ReadOut
-from sim.sensors.sensor import Sensor, load_sensor
+from camctl.sim.effects import EFFECTS
+from camctl.sim.effects.budget import plan_frame
+from camctl.sim.effects.charge import cosmic_hits
+from camctl.sim.noise import TILE
+from camctl.sim.render import Renderer
+from camctl.sim.scenes.motion import Lamps, Target
+from camctl.sim.scenes.scene import Scene, load_scene
+from camctl.sim.scenes.view import View
+from camctl.sim.sensors.parts import Dark, Lens, Pixels, ReadOut
+from camctl.sim.sensors.sensor import Sensor, load_sensor
 
 EFFECT = {effect.name: effect for effect in EFFECTS}
 

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.effects.budget import plan_frame
-from sim.effects.record import Lines, Tile
-from sim.frame_cache import FrameCache
-from sim.noise import Stream, TileNoise, largest_noise, line_noise
-from sim.render import Renderer
-from sim.scenes.motion import PwmLamps
-from sim.scenes.scene import Scene, load_scene
-from sim.scenes.view import View
-from sim.sensors.parts import Dark, ReadOut
-from sim.sensors.sensor import Sensor, load_sensor
+from camctl.sim.effects.budget import plan_frame
+from camctl.sim.effects.record import Lines, Tile
+from camctl.sim.frame_cache import FrameCache
+from camctl.sim.noise import Stream, TileNoise, largest_noise, line_noise
+from camctl.sim.render import Renderer
+from camctl.sim.scenes.motion import PwmLamps
+from camctl.sim.scenes.scene import Scene, load_scene
+from camctl.sim.scenes.view import View
+from camctl.sim.sensors.parts import Dark, ReadOut
+from camctl.sim.sensors.sensor import Sensor, load_sensor
 
 Array = NDArray[np.float64]
 

@@ -10,14 +10,14 @@ import pytest
 from pydantic import ValidationError
 from scipy import special
 
-from sim.effects.bounds import Bounds
-from sim.effects.budget import plan_frame
-from sim.effects.lens import airy_kernel
-from sim.render import Renderer
-from sim.scenes.scene import LUMINANCE, Scene
-from sim.scenes.view import Light, View
-from sim.sensors.parts import Lens, Pixels
-from sim.sensors.sensor import Sensor, load_sensor
+from camctl.sim.effects.bounds import Bounds
+from camctl.sim.effects.budget import plan_frame
+from camctl.sim.effects.lens import airy_kernel
+from camctl.sim.render import Renderer
+from camctl.sim.scenes.scene import LUMINANCE, Scene
+from camctl.sim.scenes.view import Light, View
+from camctl.sim.sensors.parts import Lens, Pixels
+from camctl.sim.sensors.sensor import Sensor, load_sensor
 
 
 def photographed(light: Any, lens: Lens, pitch_um: float = 2.0) -> Light:

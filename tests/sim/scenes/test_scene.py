@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from camctl.errors import DataError, UsageError
-from sim.scenes.drawings import DRAWINGS
-from sim.scenes.scene import (
+from camctl.sim.scenes.drawings import DRAWINGS
+from camctl.sim.scenes.scene import (
     HIGHLIGHT_CD_M2,
     LUMINANCE,
     RELATIVE,
@@ -21,9 +21,9 @@ from sim.scenes.scene import (
     load_scene,
     scene_names,
 )
-from sim.scenes.view import View
-from sim.sensors.parts import Lens, Pixels
-from sim.sensors.sensor import load_sensor
+from camctl.sim.scenes.view import View
+from camctl.sim.sensors.parts import Lens, Pixels
+from camctl.sim.sensors.sensor import load_sensor
 
 
 @pytest.mark.parametrize("name", scene_names())

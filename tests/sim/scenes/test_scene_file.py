@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from camctl.errors import DataError, UsageError
-from sim.data_files import built_in_files, read_text
-from sim.scenes.motion import Lamps, PwmLamps
-from sim.scenes.scene import LUMINANCE, PHOTONS, SceneFile, load_scene, scene_names
+from camctl.sim.data_files import built_in_files, read_text
+from camctl.sim.scenes.motion import Lamps, PwmLamps
+from camctl.sim.scenes.scene import LUMINANCE, PHOTONS, SceneFile, load_scene, scene_names
 
 VALID: dict[str, Any] = {"name": "mine", "picture": "wall", "photons_s": 2e5}
 

@@ -14,15 +14,15 @@ import pytest
 
 from camctl.errors import CamctlError
 from camctl.interface.controls import ExposureSetting
-from sim.camera import SimulatedCamera
-from sim.scenes.scene import Scene, load_scene
-from sim.sensors.sensor import load_sensor
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.scenes.scene import Scene, load_scene
+from camctl.sim.sensors.sensor import load_sensor
 
 EXTREMES = (0, -1, 5e-324, 1e-300, 1e-15, 1e-6, 1e6, 1e15, 1e300, 1e308, 10**400, 2**31, 2**63)
 
 
 def built_in(kind: str, name: str) -> Any:
-    return json.loads((resources.files("sim") / kind / f"{name}.json").read_text())
+    return json.loads((resources.files("camctl.sim") / kind / f"{name}.json").read_text())
 
 
 def places(data: Any) -> Iterator[tuple[Any, Any]]:

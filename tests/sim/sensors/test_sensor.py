@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 
 from camctl.errors import DataError, UsageError
 from camctl.interface.controls import Layout
-from sim.effects import effect_names
-from sim.noise import largest_noise
-from sim.render import Renderer
-from sim.scenes.scene import Scene
-from sim.scenes.view import View
-from sim.sensors.sensor import ROUNDING_SHARE, Sensor, load_sensor, sensor_names
+from camctl.sim.effects import effect_names
+from camctl.sim.noise import largest_noise
+from camctl.sim.render import Renderer
+from camctl.sim.scenes.scene import Scene
+from camctl.sim.scenes.view import View
+from camctl.sim.sensors.sensor import ROUNDING_SHARE, Sensor, load_sensor, sensor_names
 
 VALID: dict[str, Any] = {"name": "x", "bits": 8, "full_well_e": 10_000}
 

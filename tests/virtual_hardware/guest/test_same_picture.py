@@ -14,9 +14,9 @@ import virtual_devices as rig
 from numpy.typing import NDArray
 
 from camctl import read_report
-from sim.camera import SimulatedCamera
-from sim.scenes.scene import load_scene
-from sim.sensors.sensor import load_sensor
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import load_sensor
 
 # Largest and mean difference of a frame's sample that a JPEG of quality 95 of this scene may have.
 JPEG_MOST, JPEG_MEAN = 6, 1.0

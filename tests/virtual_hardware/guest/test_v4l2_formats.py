@@ -18,13 +18,13 @@ from error_lines import one_line
 from guest_processes import wait_for
 from numpy.typing import NDArray
 
+from camctl.drivers.v4l2 import abi
+from camctl.drivers.v4l2.camera import V4l2Camera
+from camctl.drivers.v4l2.capture import Capture, StreamMode
+from camctl.drivers.v4l2.formats import FORMATS, PixelFormat
+from camctl.drivers.v4l2.node import Node
 from camctl.errors import CameraBusyError, CameraError, UsageError
 from camctl.interface.controls import Layout
-from drivers.v4l2 import abi
-from drivers.v4l2.camera import V4l2Camera
-from drivers.v4l2.capture import Capture, StreamMode
-from drivers.v4l2.formats import FORMATS, PixelFormat
-from drivers.v4l2.node import Node
 
 _NEXT = 0x80000000  # V4L2_CTRL_FLAG_NEXT_CTRL
 _COLOUR_BARS, _GREY_RAMP = 0, 20  # test patterns of vivid

@@ -15,10 +15,10 @@ from ptp_initiator import BUSY, OK, connected, make_camera, numbers
 
 from camctl.errors import UsageError
 from camctl.interface.controls import Layout
-from sim.devices.common import VirtualSensor
-from sim.devices.ptp.camera import configuration_descriptor
-from sim.scenes.scene import load_scene
-from sim.sensors.sensor import load_sensor
+from camctl.sim.devices.common import VirtualSensor
+from camctl.sim.devices.ptp.camera import configuration_descriptor
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import load_sensor
 
 NO_SESSION, INVALID_HANDLE, NO_PROPERTY = 0x2003, 0x2009, 0x200A
 INVALID_FORMAT, FULL, DENIED = 0x200B, 0x200C, 0x200F

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from ptp_initiator import BUSY, OK, Initiator, connected, make_camera, numbers
 
 from camctl.errors import UsageError
-from sim.devices.clock import RealDeviceClock
-from sim.devices.usb.device import Port, UsbDevice
+from camctl.sim.devices.clock import RealDeviceClock
+from camctl.sim.devices.usb.device import Port, UsbDevice
 
 NO_SESSION = 0x2003
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from sim.devices.sierra import device as sierra
+from camctl.sim.devices.sierra import device as sierra
 
 REASON = gphoto2_client.missing_for_pty()
 pytestmark = pytest.mark.skipif(REASON is not None, reason=REASON or "")

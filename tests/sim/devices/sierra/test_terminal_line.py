@@ -12,7 +12,7 @@ import pytest
 import serial
 
 from camctl.errors import CameraNotFoundError
-from sim.devices.sierra import device as sierra
+from camctl.sim.devices.sierra import device as sierra
 
 BASE = {"scene": "ramp", "sensor": "ideal-8", "size": "48x32"}
 NAK, ACK = b"\x15", b"\x06"

@@ -7,8 +7,8 @@ import struct
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.devices.clock import VirtualDeviceClock
-from sim.devices.sierra import device as sierra
+from camctl.sim.devices.clock import VirtualDeviceClock
+from camctl.sim.devices.sierra import device as sierra
 
 
 class CountingLine:

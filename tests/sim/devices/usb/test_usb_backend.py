@@ -15,9 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camctl.errors import UsageError
-from sim.devices.clock import DeviceClock, RealDeviceClock, VirtualDeviceClock
-from sim.devices.usb.backend import VirtualBackend
-from sim.devices.usb.device import NO_REPLY, STALL, ControlReply, UsbDevice
+from camctl.sim.devices.clock import DeviceClock, RealDeviceClock, VirtualDeviceClock
+from camctl.sim.devices.usb.backend import VirtualBackend
+from camctl.sim.devices.usb.device import NO_REPLY, STALL, ControlReply, UsbDevice
 
 PACKET = 64
 BULK_IN, BULK_OUT, EVENTS = 0x81, 0x02, 0x83

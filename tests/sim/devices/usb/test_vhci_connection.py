@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from sim.devices.usb.device import NO_REPLY, STALL, ControlReply, UsbDevice
-from sim.devices.usb.vhci import UsbIpConnection
+from camctl.sim.devices.usb.device import NO_REPLY, STALL, ControlReply, UsbDevice
+from camctl.sim.devices.usb.vhci import UsbIpConnection
 
 SUBMIT, UNLINK, SUBMITTED, UNLINKED = 1, 2, 3, 4
 OUT, IN = 0, 1

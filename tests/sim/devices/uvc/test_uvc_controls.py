@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 from uvc_host import GAIN, INFO, MODE, TIME, WHITE, Control, Host
 
 from camctl.errors import UsageError
-from sim.devices.clock import VirtualDeviceClock
-from sim.devices.usb.backend import VirtualBackend
-from sim.devices.usb.device import ControlFailure
-from sim.devices.uvc.camera import UvcCamera, make
+from camctl.sim.devices.clock import VirtualDeviceClock
+from camctl.sim.devices.usb.backend import VirtualBackend
+from camctl.sim.devices.usb.device import ControlFailure
+from camctl.sim.devices.uvc.camera import UvcCamera, make
 
 SMALL = {"name": "cam", "kind": "uvc", "scene": "ramp", "sensor": "ideal-8", "size": "40x30"}
 CONTROLS: dict[str, Control] = {

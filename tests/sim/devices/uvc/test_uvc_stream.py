@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from uvc_host import BACKLIGHT, BRIGHTNESS, GAIN, MODE, PRIORITY, TIME, WHITE_AUTO, Control, Host
 
 from camctl.interface.controls import ExposureSetting, Layout
-from sim.camera import SimulatedCamera
-from sim.devices.clock import DeviceClock, RealDeviceClock, VirtualDeviceClock
-from sim.devices.common import VirtualSensor
-from sim.devices.usb.backend import VirtualBackend
-from sim.devices.uvc.camera import UvcCamera, make
-from sim.scenes.scene import load_scene
-from sim.sensors.sensor import load_sensor
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.devices.clock import DeviceClock, RealDeviceClock, VirtualDeviceClock
+from camctl.sim.devices.common import VirtualSensor
+from camctl.sim.devices.usb.backend import VirtualBackend
+from camctl.sim.devices.uvc.camera import UvcCamera, make
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import load_sensor
 
 ROWS, COLUMNS = 12, 16
 FRAME_S = 0.02
