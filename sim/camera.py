@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from statistics import median
@@ -32,9 +32,11 @@ from camctl.sim.streaming_device import Buffer, SimulatedDevice, Slot
 from camctl.streaming import (
     ControlDelay,
     DelayOrigin,
+    ExposureCycle,
     ExposurePipeline,
     FrameStamp,
     Shot,
+    StreamCycle,
     Written,
     mean_brightness,
     resting_setting,
@@ -173,6 +175,17 @@ class SimulatedCamera(CameraBase):
         )
         shot = next(shooting)
         return self._frame(shot, setting, light=self._faults.light(-1, shot.applied.time_s))
+
+    def cycle(self, settings: Sequence[ExposureSetting]) -> StreamCycle[Buffer]:
+        """Return frames without end; see `camctl.interface.cycle.CyclingCamera`."""
+        requested = self._checked(settings)
+        endless = ExposureCycle.of(self._pipeline(self._cause_faults), requested)
+        self._is_shooting = True
+        self._tolerance_share = 1 / len(settings)
+        return StreamCycle(endless, self.controls, self._counted_frame, self._end_cycle)
+
+    def _end_cycle(self) -> None:
+        self._is_shooting = False
 
     def use_delay(self, delay: MeasuredDelay | None) -> None:
         """Use a measured control delay from now on; see `camctl.interface.camera.use_delay`."""

@@ -71,6 +71,19 @@ class OriginalFile:
     data: bytes
 
 
+@dataclass(frozen=True)
+class CyclePlace:
+    """Where a frame of `camctl.interface.cycle.CyclingCamera.cycle` is in its stream.
+
+    Attributes:
+        number: of its slot; the numbers of lost frames are skipped
+        plan: how often the list of settings had been exchanged before
+    """
+
+    number: int
+    plan: int
+
+
 @dataclass(frozen=True, eq=False)
 class Frame:
     """One frame as the camera returned it.
@@ -85,6 +98,7 @@ class Frame:
         white: brightness from which samples of this frame are saturated, DN
         original: the camera's own file, where it made one
         details: what else the camera reports of the frame; kept as JSON in the capture's report
+        place: where it is in an endless stream; None: it is one of a list
     """
 
     pixels: Pixels
@@ -96,6 +110,7 @@ class Frame:
     white: int
     original: OriginalFile | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
+    place: CyclePlace | None = None
 
 
 class FrameStream(Iterator[Frame], Protocol):
@@ -275,12 +290,7 @@ class CameraBase(ABC):
 
     def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
         """Shoot the settings in their order; see `Camera.shoot`."""
-        requested = tuple(settings)
-        self._check_ready()
-        controls = self.controls
-        for setting in requested:
-            controls.check(setting)
-        return self._shoot(requested)
+        return self._shoot(self._checked(settings))
 
     @uninterrupted
     def close(self) -> None:
@@ -303,6 +313,14 @@ class CameraBase(ABC):
     ) -> None:
         """Close the camera."""
         self.close()
+
+    def _checked(self, settings: Sequence[ExposureSetting]) -> tuple[ExposureSetting, ...]:
+        """Return settings that the camera has, which is ready to shoot them."""
+        self._check_ready()
+        controls = self.controls
+        for setting in settings:
+            controls.check(setting)
+        return tuple(settings)
 
     def _shoot(self, settings: tuple[ExposureSetting, ...]) -> Generator[Frame, None, None]:
         self._check_ready()

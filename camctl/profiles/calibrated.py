@@ -27,6 +27,7 @@ from camctl.interface.camera import (
 )
 from camctl.interface.clock import Clock
 from camctl.interface.controls import ExposureControls, ExposureSetting, ResponseOrigin
+from camctl.interface.cycle import CyclingCamera, FrameCycle
 from camctl.profiles.exposures import exposure_mode
 from camctl.profiles.noise import DarkRecord
 from camctl.profiles.profile import Profile, ignored_profiles, load_profile
@@ -62,14 +63,10 @@ def with_profile(camera: Camera, parts: Collection[str] = PARTS) -> Camera:
     }
     if not any(measured[part] for part in parts):
         return camera
-    kinds = {
-        (False, False): CalibratedCamera,
-        (True, False): _CalibratedPreview,
-        (False, True): _CalibratedStream,
-        (True, True): _CalibratedPreviewStream,
-    }
-    kind = kinds[isinstance(camera, PreviewingCamera), isinstance(camera, StreamingCamera)]
-    return kind(camera, profile, parts)
+    abilities = [part for protocol, part in _ABILITIES if isinstance(camera, protocol)]
+    kind = type("CalibratedCamera", (*abilities, CalibratedCamera), {})
+    found: CalibratedCamera = kind(camera, profile, parts)
+    return found
 
 
 def calibrated(
@@ -263,8 +260,19 @@ class _CalibratedStream(CalibratedCamera):
         return found
 
 
-class _CalibratedPreviewStream(_CalibratedPreview, _CalibratedStream):
-    pass
+class _CalibratedCycle(CalibratedCamera):
+    def cycle(self, settings: Sequence[ExposureSetting]) -> FrameCycle:
+        """Return frames without end; see `CyclingCamera.cycle`."""
+        found: FrameCycle = self._camera.cycle(settings)
+        return found
+
+
+#: What some cameras can do, and what passes it on.
+_ABILITIES: tuple[tuple[type[Any], type[CalibratedCamera]], ...] = (
+    (PreviewingCamera, _CalibratedPreview),
+    (StreamingCamera, _CalibratedStream),
+    (CyclingCamera, _CalibratedCycle),
+)
 
 
 def open_camera(

@@ -18,17 +18,15 @@ from heapq import heappop, heappush
 from typing import Generic, TypeVar
 
 from camctl.errors import CameraError, CameraProtocolError
+from camctl.interface.camera import CyclePlace
 from camctl.interface.controls import ExposureSetting
 from camctl.streaming.control_delay import ASSUMED_LARGEST, ControlDelay, DelayOrigin
-from camctl.streaming.source import NumberedSource, irregular_frames
+from camctl.streaming.source import NumberedSource, irregular_frames, same_brightness
 
 DataT = TypeVar("DataT")
 
 #: Frames for which `step` waits at the first setting: it must not rely on a delay that it measures.
 _STEP_SETTLING = ASSUMED_LARGEST + 2
-#: Two frames have the same exposure if their brightnesses differ by at most this share of the
-#: brightness, or of full scale: more than the noise of a mean, less than a step of exposure.
-_SAME_RELATIVE, _SAME_OF_FULL_SCALE = 0.02, 0.002
 #: Attempts without a usable frame until the stream counts as unusable.
 _ATTEMPTS = 16
 #: Old frames that are dropped at once at most: more than any driver has buffers.
@@ -44,12 +42,14 @@ class Shot(Generic[DataT]):
         applied: its setting as read back
         time_s: when its exposure ended, s
         data: the frame as the source delivered it
+        place: where it is in an endless stream; None: it is one of a list
     """
 
     index: int
     applied: ExposureSetting
     time_s: float
     data: DataT
+    place: CyclePlace | None = None
 
 
 @dataclass(frozen=True)
@@ -123,6 +123,16 @@ class ExposurePipeline(Generic[DataT]):
         if self._delay.frames is not None:
             return self._pipelined(settings, rest)
         return self._settled_each(settings, rest)
+
+    def settled(self, index: int, setting: ExposureSetting) -> Shot[DataT]:
+        """Write a setting and return a frame that surely has it; raises as `shoot` does."""
+        self._delay = self.delay
+        return self._settled(self._write_now(index, setting))
+
+    def release(self) -> tuple[NumberedSource[DataT], Callable[[DataT], float] | None]:
+        """Return the stream and the brightness of its frames, for settings written elsewhere."""
+        self._written = None  # what is written last is not known here
+        return self._source, self._brightness
 
     def step(
         self, before: ExposureSetting, after: ExposureSetting, frames: int, *, early: int = 0
@@ -228,10 +238,12 @@ class ExposurePipeline(Generic[DataT]):
             if self._brightness is None or self._delay.origin is DelayOrigin.GUARANTEED:
                 return shot
             light = self._brightness(data)
-            if previous is not None and previous[0] + 1 == stamp.number:
-                difference = abs(light - previous[1])
-                if difference <= max(_SAME_RELATIVE * light, _SAME_OF_FULL_SCALE):
-                    return shot
+            if (
+                previous is not None
+                and previous[0] + 1 == stamp.number
+                and same_brightness(light, previous[1])
+            ):
+                return shot
             previous = (stamp.number, light)
         raise CameraProtocolError(
             f"the brightness does not settle: no two consecutive frames of {_ATTEMPTS} with one "

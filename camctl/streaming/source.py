@@ -11,6 +11,9 @@ from camctl.errors import CameraProtocolError
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import ExposureSetting
 
+#: Two frames have the same exposure if their brightnesses differ by at most this share of the
+#: brightness, or of full scale: more than the noise of a mean, less than a step of exposure.
+_SAME_RELATIVE, _SAME_OF_FULL_SCALE = 0.02, 0.002
 #: Samples of which `mean_brightness` takes the mean, about: noise averages out to 1/128.
 _SAMPLES = 1 << 14
 
@@ -26,11 +29,15 @@ class FrameStamp:
         time_s: when its exposure ended, on the camera's clock, s
         is_certain: False where an unknown number of frames was lost, so that the number may
             be wrong in relation to the numbers before it
+        applied: the exposure that the camera states of this very frame (metadata, chunk data); None
+            where it states none.  Some state the exposure of another frame, so that it is used
+            only after the pixels have agreed, see `StatedExposures`
     """
 
     number: int
     time_s: float
     is_certain: bool = True
+    applied: ExposureSetting | None = None
 
 
 @dataclass(frozen=True)
@@ -97,3 +104,8 @@ def mean_brightness(pixels: Pixels, full_scale: int) -> float:
     """Return the mean of about 16,000 samples of a frame, as a share of `full_scale`, DN."""
     step = max(1, int((pixels.size / _SAMPLES) ** 0.5))
     return float(np.mean(pixels[::step, ::step])) / full_scale
+
+
+def same_brightness(one: float, other: float) -> bool:
+    """Return whether two mean brightnesses, shares of full scale, are those of one exposure."""
+    return abs(one - other) <= max(_SAME_RELATIVE * one, _SAME_OF_FULL_SCALE)

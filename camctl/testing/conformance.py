@@ -21,12 +21,13 @@ import pytest
 from camctl.errors import CameraError, RefusedSettingError, UsageError
 from camctl.interface.camera import Camera, PreviewingCamera
 from camctl.interface.controls import Choices, ExposureSetting, Layout, ResponseOrigin
+from camctl.testing.cycle_checks import CycleChecks
 from camctl.testing.fault_checks import FaultChecks
 from camctl.testing.sample_checks import SampleChecks
 from camctl.testing.suite import UNUSABLE
 
 
-class CameraConformance(SampleChecks, FaultChecks):
+class CameraConformance(SampleChecks, CycleChecks, FaultChecks):
     """Subclass it, override `open_camera`, and let pytest collect the subclass.
 
     `CameraSuite` lists what can be overridden beside it.

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from camctl.interface.camera import CameraBase, Frame, MeasuredDelay, Pixels
 from camctl.interface.controls import ExposureSetting
-from camctl.streaming import ControlDelay, ExposurePipeline, Shot, resting_setting, with_delay
+from camctl.streaming import (
+    ControlDelay,
+    ExposureCycle,
+    ExposurePipeline,
+    Shot,
+    StreamCycle,
+    resting_setting,
+    with_delay,
+)
 
 
 class StreamCamera(CameraBase):
-    """A `PreviewingCamera` whose `_open` starts a stream and sets `_pipeline`."""
+    """A `PreviewingCamera` and a `CyclingCamera`: `_open` starts a stream and sets `_pipeline`."""
 
     _pipeline: ExposurePipeline[Pixels]
 
@@ -21,6 +29,15 @@ class StreamCamera(CameraBase):
             return next(frames)
         finally:
             frames.close()
+
+    def cycle(self, settings: Sequence[ExposureSetting]) -> StreamCycle[Pixels]:
+        """Return frames without end; see `camctl.interface.cycle.CyclingCamera`."""
+        endless = ExposureCycle.of(self._pipeline, self._checked(settings))
+        self._is_shooting = True
+        return StreamCycle(endless, self.controls, self._frame, self._end_cycle)
+
+    def _end_cycle(self) -> None:
+        self._is_shooting = False
 
     def use_delay(self, delay: MeasuredDelay | None) -> None:
         """Use a measured control delay from now on; see `camctl.interface.camera.use_delay`."""

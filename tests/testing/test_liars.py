@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from small_cameras import WrappedCamera
 from camctl.errors import CameraDisconnectedError, CameraTimeoutError
 from camctl.interface.camera import Camera, Frame, FrameStream
 from camctl.interface.controls import ExposureControls, ExposureSetting, Layout, ResponseOrigin
+from camctl.interface.cycle import CyclingCamera, FrameCycle
 from camctl.sim.camera import SimulatedCamera
 from camctl.sim.scenes.scene import Scene
 from camctl.sim.sensors.sensor import load_sensor
@@ -128,6 +129,27 @@ class Liar(WrappedCamera):
 
     def returned(self, frame: Frame) -> Frame:
         return frame
+
+
+class IsOneFrameAhead(Liar):
+    """In an endless stream it states the exposure of the frame before."""
+
+    def cycle(self, settings: Sequence[ExposureSetting]) -> FrameCycle:
+        assert isinstance(self.camera, CyclingCamera)
+        return _Ahead(self.camera.cycle(settings))
+
+
+class _Ahead:
+    def __init__(self, cycle: FrameCycle) -> None:
+        self._cycle, self._before = cycle, next(cycle)
+        self.method, self.exchange, self.close = cycle.method, cycle.exchange, cycle.close
+
+    def __iter__(self) -> Iterator[Frame]:
+        return self
+
+    def __next__(self) -> Frame:
+        stated, self._before = self._before, next(self._cycle)
+        return replace(stated, pixels=self._before.pixels)
 
 
 class IgnoresGain(Liar):
@@ -382,6 +404,7 @@ LIARS: list[tuple[type[Liar], Suite, str, dict[str, str]]] = [
     (HasADarkBorderAtHighGain, HonestGain, "test_gains_do_not_change_the_shading", {}),
     (AssumesTheResponseOfRawSamples, Honest, ORIGIN, {}),
     (StatesItsResponseInWords, Honest, ORIGIN, {}),
+    (IsOneFrameAhead, Honest, "test_a_cycle_repeats_its_list", {}),
     (StatesTheRequestedTime, HonestStill, "test_applied_is_what_the_device_itself_states", {}),
 ]
 
