@@ -51,6 +51,7 @@ class FrameChecks:
         self._log = ShotLog(capture.plan.settings, self._controls)
         self._delay_of = camera.info.id if self._log.has_delay else None
         self.thumbnails: dict[int, NDArray[np.uint8]] = {}
+        self._damage: dict[int, float] = {}  # share that shows no scene, of frames judged so far
 
     def begin(self, positions: Sequence[int]) -> None:
         """Record that the frames at `positions` are shot now, in one sequence."""
@@ -61,6 +62,7 @@ class FrameChecks:
         applied, controls = self._frame(position).applied, self._controls
         noise = controls.frame_noise([applied])[0] if controls.noise else None
         self._check.add(position, pixels, noise)
+        self._forget_damage(position)
         self.thumbnails[position] = thumbnail(pixels, self._controls)
         for later in (position, position + 1):
             if self._check.has(later):
@@ -72,6 +74,7 @@ class FrameChecks:
     def remove(self, position: int) -> None:
         """Forget the frame at `position`: it will be shot again."""
         self._check.remove(position)
+        self._forget_damage(position)
 
     def suspects(self) -> list[int]:
         """Return the positions of the frames that are probably wrong and were shot once.
@@ -181,15 +184,16 @@ class FrameChecks:
             return {}
         samples = self.samples
         codes = self._controls.white - self._controls.black + 1
-        shares = {
-            position: damaged_share(
-                each,
-                [*samples[max(position - 1, 0) : position], *samples[position + 1 :][:1]],
-                codes,
-            )
-            for position, each in enumerate(samples)
-        }
-        return {position: share for position, share in shares.items() if share}
+        for position, each in enumerate(samples):
+            if position not in self._damage:
+                beside = [*samples[max(position - 1, 0) : position], *samples[position + 1 :][:1]]
+                self._damage[position] = damaged_share(each, beside, codes)
+        return {place: share for place, share in sorted(self._damage.items()) if share}
+
+    def _forget_damage(self, position: int) -> None:
+        """Forget what is known of a frame that changed, and of those judged beside it."""
+        for place in (position - 1, position, position + 1):
+            self._damage.pop(place, None)
 
     @property
     def _frames(self) -> list[StoredFrame]:

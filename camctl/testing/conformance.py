@@ -23,11 +23,12 @@ from camctl.interface.camera import Camera, PreviewingCamera
 from camctl.interface.controls import Choices, ExposureSetting, Layout, ResponseOrigin
 from camctl.testing.cycle_checks import CycleChecks
 from camctl.testing.fault_checks import FaultChecks
+from camctl.testing.response_checks import ResponseChecks
 from camctl.testing.sample_checks import SampleChecks
 from camctl.testing.suite import UNUSABLE
 
 
-class CameraConformance(SampleChecks, CycleChecks, FaultChecks):
+class CameraConformance(SampleChecks, ResponseChecks, CycleChecks, FaultChecks):
     """Subclass it, override `open_camera`, and let pytest collect the subclass.
 
     `CameraSuite` lists what can be overridden beside it.

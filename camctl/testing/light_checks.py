@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 
 from camctl.interface.camera import Camera, Frame
 from camctl.interface.controls import Control, ExposureControls, ExposureSetting
-from camctl.testing.suite import UNUSABLE, CameraSuite, is_lossy
+from camctl.testing.suite import QUANTISATION, UNUSABLE, CameraSuite
 
 # Neighbouring settings of a check over a whole range differ by about this factor.
 _STEP = 2.0
-# How far quantisation may move the mean of a block, levels.
-_QUANTISATION = 0.3
 # Where the irradiance should be this many times the irradiance of white, a sample must be
 # saturated.
 _SURELY_WHITE = 1.5
@@ -86,7 +84,7 @@ class LightChecks(CameraSuite):
         light = np.where(self.usable(camera, known), self.irradiance(camera, known), 0.0)
         must = light * factor > _SURELY_WHITE
         if must.any():
-            loss = _LOSS if is_lossy(camera, other) else 0.0
+            loss = _LOSS if self.is_lossy(camera, other) else 0.0
             least = other.white - loss * (other.white - other.black)
             white = float((other.pixels[must] >= least).mean())
             assert white >= _LEAST_WHITE_SHARE, (
@@ -105,8 +103,7 @@ class LightChecks(CameraSuite):
             pytest.skip("the shutter times near the middle are too close to be distinguished")
         frames = self.shoot(camera, [replace(middle, time_s=t) for t in ladder])
         pairs = list(itertools.pairwise(frames))
-        tolerance = self.exact_or_light_tolerance(camera, frames[0])
-        compared = sum([self.check_light(camera, *pair, tolerance) for pair in pairs])
+        compared = sum([self.check_light(camera, *pair) for pair in pairs])
         assert compared, UNUSABLE
 
     # ---- time
@@ -159,7 +156,7 @@ class LightChecks(CameraSuite):
                 allowed = (
                     tolerance * one
                     + _STANDARD_ERRORS * noise / np.sqrt(count)
-                    + _QUANTISATION * level * max(1.0, 1 / compared.ratio)
+                    + QUANTISATION * level * max(1.0, 1 / compared.ratio)
                 )
                 found = abs(two - one) / allowed
                 worst = found if worst is None else max(worst, found)

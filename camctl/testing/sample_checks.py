@@ -9,7 +9,7 @@ import pytest
 
 from camctl.interface.camera import Camera
 from camctl.testing.light_checks import LightChecks
-from camctl.testing.suite import UNUSABLE, is_lossy
+from camctl.testing.suite import UNUSABLE
 
 # Equal settings in a row; a camera without noise sends the same picture each time.
 _EQUAL = 12
@@ -51,7 +51,7 @@ class SampleChecks(LightChecks):
         gains = [*controls.gain.near(controls.gain.minimum, 1)]
         gains += [controls.gain.nearest(float(g)) for g in (2.0, 4.0, controls.gain.maximum)]
         (known,) = self.shoot(camera, [middle])
-        if is_lossy(camera, known):
+        if self.is_lossy(camera, known):
             pytest.skip("a JPEG file does not keep white exactly")
         light = np.where(self.usable(camera, known), self.irradiance(camera, known), 0.0)
         limit_s = min(controls.time_s.maximum, self.longest_s)

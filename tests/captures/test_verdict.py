@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from small_cameras import gradient, small_camera, sum_of_frames
 
 import camctl
+from camctl.captures import frame_checks
 from camctl.captures.sequencer import capture
 from camctl.captures.verdict import suspects
 from camctl.errors import CameraBusyError
+from camctl.evidence.damage import damaged_share
 from camctl.evidence.ratio_check import RatioCheck
 from camctl.exposure.goal import CaptureRequest
 from camctl.findings import Finding
@@ -261,6 +264,22 @@ def test_a_damaged_frame_is_shot_again(position: int) -> None:
     assert [frame.attempts for frame in report.frames] == [1 + (k == position) for k in range(3)]
     assert report.trustworthy
     assert {each.code for each in report.findings} <= {"light_below_range"}
+
+
+def test_a_frame_is_judged_once_until_it_or_one_beside_it_is_shot_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls: list[int] = []
+
+    def counted(*arguments: Any) -> float:
+        calls.append(1)
+        return damaged_share(*arguments)
+
+    monkeypatch.setattr(frame_checks, "damaged_share", counted)
+    assert damaged().trustworthy
+    assert len(calls) == 3
+    assert damaged(0).frames[0].attempts == 2
+    assert len(calls) == 3 + 3 + 2  # frames 0 and 1 once more
 
 
 def test_a_frame_damaged_twice_makes_a_capture_untrustworthy() -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from ptp_bench import Bench, bench, in_force
 from small_cameras import WrappedCamera
 
@@ -83,8 +84,20 @@ class HonestTiff(HonestStill):
         return self.pair.camera()
 
 
+class HonestNoisyJpeg(HonestStill):
+    """A still camera whose files lose something, before a sensor with noise."""
+
+    def open_camera(self) -> Camera:
+        self.pair = bench("standard")
+        return self.pair.camera()
+
+
 class TestHonestTiff(HonestTiff):
     pass
+
+
+class TestHonestNoisyJpeg(HonestNoisyJpeg):
+    run_length = 30
 
 
 class TestHonest(Honest):
@@ -369,12 +382,55 @@ class HasADarkBorderAtHighGain(Liar):
         return replace(frame, pixels=np.where(mask, frame.pixels, dark))
 
 
+class _Bends(Liar):
+    """Its linear response is another one than it states, in a part of the range."""
+
+    def returned(self, frame: Frame) -> Frame:
+        span = float(frame.white - frame.black)
+        share = (frame.pixels.astype(float) - frame.black) / span
+        pixels = np.rint(self.bent(share) * span + frame.black)
+        return replace(frame, pixels=np.minimum(pixels, frame.white).astype(frame.pixels.dtype))
+
+    def bent(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        raise NotImplementedError
+
+
+class HasAGammaNearBlack(_Bends):
+    limit = 0.01
+
+    def bent(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        dark = np.sqrt(np.maximum(share, 0) / self.limit) * self.limit
+        return np.where((share > 0) & (share < self.limit), dark, share)
+
+
+class HasAGammaBelow3Percent(HasAGammaNearBlack):
+    limit = 0.03
+
+
+class HasAKneeNearWhite(_Bends):
+    def bent(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.where(share > 0.9, 0.9 + (share - 0.9) / 2, share)
+
+
+class AddsToLongExposures(_Bends):
+    """Half a per cent of white."""
+
+    def returned(self, frame: Frame) -> Frame:
+        return super().returned(frame) if frame.applied.time_s > 0.018 else frame
+
+    def bent(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        return share + 0.005
+
+
 Suite = type[Honest] | type[HonestStill]
 # What a check raises: its own assertion, pytest's if an error did not come, or the liar's error.
 _FOUND = (AssertionError, pytest.fail.Exception, RuntimeError)
 RANGE, CONTROL = "test_light_follows_the_control_over_its_whole_range", "control"
 
 EQUAL = "test_equal_settings_in_a_row_have_frames_of_their_own"
+ENDS = "test_the_response_holds_near_black_and_near_white"
+ADDED = "test_nothing_is_added_to_the_light"
+THIRDS = "test_neighbouring_times_differ_in_light"
 ORIGIN = "test_the_response_is_known_or_said_to_be_assumed"
 
 LIARS: list[tuple[type[Liar], Suite, str, dict[str, str]]] = [
@@ -395,13 +451,22 @@ LIARS: list[tuple[type[Liar], Suite, str, dict[str, str]]] = [
     (HidesItsBlackLevel, Honest, RANGE, {CONTROL: "time_s"}),
     (RepeatsItsLastFrame, Honest, "test_unplugged_camera_raises_an_error_of_one_line", {}),
     (RepeatsItsLastFrame, Honest, "test_silent_camera_raises_an_error_after_a_limited_time", {}),
-    (HasAlternateThirdsWrong, HonestTiff, "test_neighbouring_times_differ_in_light", {}),
+    (HasAlternateThirdsWrong, HonestTiff, THIRDS, {}),
+    (HasAlternateThirdsWrong, HonestStill, THIRDS, {}),
+    (HasAlternateThirdsWrong, HonestNoisyJpeg, THIRDS, {}),
     (RepeatsWhereTheSettingStays, Honest, EQUAL, {}),
     (IsNotQuiteWhiteAtHighGain, HonestGain, "test_white_is_exact_at_every_gain", {}),
     (StampsFramesLate, Honest, "test_time_stamps_are_not_later_than_the_frames", {}),
     (HasNoLowestBit, Honest, "test_every_bit_of_the_samples_is_used", {}),
     (IsStaleFromFrame120On, Honest, "test_long_sequences_have_the_right_frames", {}),
     (HasADarkBorderAtHighGain, HonestGain, "test_gains_do_not_change_the_shading", {}),
+    (HasAGammaNearBlack, HonestGain, ENDS, {}),
+    (HasAGammaBelow3Percent, HonestGain, ENDS, {}),
+    (HasAGammaBelow3Percent, Honest, ENDS, {}),
+    (HasAKneeNearWhite, Honest, ENDS, {}),
+    (HasAKneeNearWhite, HonestGain, ENDS, {}),
+    (AddsToLongExposures, Honest, ADDED, {}),
+    (AddsToLongExposures, HonestGain, ADDED, {}),
     (AssumesTheResponseOfRawSamples, Honest, ORIGIN, {}),
     (StatesItsResponseInWords, Honest, ORIGIN, {}),
     (IsOneFrameAhead, Honest, "test_a_cycle_repeats_its_list", {}),

@@ -28,7 +28,7 @@ from camctl.errors import (
 )
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.backends import is_local
-from camctl.interface.camera import Camera
+from camctl.interface.camera import Camera, Frame
 from camctl.interface.clock import RealClock
 from camctl.interface.controls import Choices, ExposureSetting, Layout, ResponseOrigin, Steps
 from camctl.testing.conformance import CameraConformance
@@ -69,6 +69,9 @@ class TestConformance(CameraConformance):
 
     def silence(self, camera: Camera) -> None:
         self.server.is_silent = True
+
+    def is_lossy(self, camera: Camera, frame: Frame) -> bool:
+        return True  # Motion JPEG
 
     def in_force(self, camera: Camera) -> ExposureSetting:
         return ExposureSetting(self.server.requested[-1] / 1e6)
