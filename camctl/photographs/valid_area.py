@@ -13,7 +13,7 @@ from camctl.errors import CameraProtocolError, DataError
 from camctl.findings import Finding, Place
 from camctl.interface.camera import Pixels
 from camctl.photographs.files import PhotographFiles
-from camctl.stills.decoding import read_still
+from camctl.stills.separate import read_apart
 from camctl.system.input_files import read_input
 
 #: Largest file of a mask that is read.
@@ -199,7 +199,7 @@ def largest_rectangle(valid: NDArray[np.bool_]) -> tuple[slice, slice]:
 def _read_mask(path: str, shape: Sequence[int]) -> NDArray[np.bool_]:
     """Return which pixels a mask leaves out."""
     try:
-        pixels = read_still(read_input(path, "mask", most_bytes=_MOST_BYTES), path).pixels
+        pixels = read_apart(read_input(path, "mask", most_bytes=_MOST_BYTES), path).pixels
     except CameraProtocolError as error:
         raise DataError(
             error.what.replace("the camera's file", "mask", 1), hint="give a PNG file"

@@ -104,12 +104,6 @@ def read_still(data: bytes, name: str) -> Still:
         return _read(data, name)
 
 
-def is_raw(data: bytes, name: str) -> bool:
-    """Return whether LibRaw is to read a file, whose format this module does not check itself."""
-    is_tiff = data.startswith(_TIFF) and PurePath(name).suffix.lower() in _TIFF_SUFFIXES
-    return len(data) >= _LEAST_RAW_BYTES and not (data.startswith((_JPEG, PNG)) or is_tiff)
-
-
 def _read(data: bytes, name: str) -> Still:
     suffix = PurePath(name).suffix.lower()
     if data.startswith(_JPEG):

@@ -7,9 +7,9 @@ from fractions import Fraction
 from pathlib import Path
 
 from camctl.errors import CameraProtocolError, DataError, UsageError
-from camctl.stills.decoding import Still, is_raw, read_still
+from camctl.stills.decoding import Still
 from camctl.stills.exif import StatedExposure, stated_exposure
-from camctl.stills.separate import read_raw_apart
+from camctl.stills.separate import read_apart
 from camctl.system.input_files import read_input
 
 #: Largest file of a camera that is read.
@@ -34,8 +34,7 @@ def read_photograph(path: Path) -> tuple[Still, StatedExposure]:
     """
     data = read_input(path, "", most_bytes=_MOST_BYTES)
     try:
-        read = read_raw_apart if is_raw(data, str(path)) else read_still
-        return read(data, str(path)), stated_exposure(data)
+        return read_apart(data, str(path)), stated_exposure(data)
     except CameraProtocolError as error:
         raise DataError(
             error.what.removeprefix("the camera's file "),

@@ -1,87 +1,128 @@
-"""Camera raw files that others made, decoded in processes that may fail.
+"""Pictures that others made, decoded in processes that may fail.
 
-A process (`camctl.stills.raw_worker`) is started with the first file, and decodes later ones, too.
+A process (`camctl.stills.worker`) is started with the first file, and decodes later ones, too.
 """
 
 from __future__ import annotations
 
 import atexit
 import json
+import os
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import IO, Any
 
 import numpy as np
 
 from camctl.errors import CameraProtocolError, UsageError
 from camctl.interface.controls import Layout
-from camctl.stills.decoding import MAX_PIXELS, Still
+from camctl.stills.decoding import MAX_PIXELS, Still, read_still
+from camctl.stills.worker import put
 
-_COMMAND = (sys.executable, "-P", "-m", "camctl.stills.raw_worker")
+_COMMAND = (sys.executable, "-P", "-m", "camctl.stills.worker")
 _lock = threading.Lock()
-_free: list[subprocess.Popen[bytes]] = []
+
+
+@dataclass(frozen=True, eq=False)
+class _Worker:
+    """A process that decodes, and the file through which it gets and gives the bytes."""
+
+    process: subprocess.Popen[bytes]
+    shared: IO[bytes]
+
+    @classmethod
+    def started(cls) -> _Worker:
+        shared = _shared_file()
+        try:
+            process = subprocess.Popen(
+                (*_COMMAND, str(shared.fileno())),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                pass_fds=(shared.fileno(),),
+                start_new_session=True,  # Control-C is this process's to handle
+            )
+        except BaseException:
+            shared.close()
+            raise
+        return cls(process, shared)
+
+    def read(self, data: bytes, name: str) -> Still:
+        """Return the contents of a file; the errors of `_still` and `OSError`."""
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        put(self.shared.fileno(), data)
+        request = {"name": name, "bytes": len(data)}
+        self.process.stdin.write(json.dumps(request).encode() + b"\n")
+        self.process.stdin.flush()
+        return _still(self.process.stdout.readline(), self.shared.fileno())
+
+    def end(self) -> None:
+        self.process.kill()
+        for each in (self.process.stdin, self.process.stdout, self.shared):
+            with suppress(OSError):
+                if each is not None:
+                    each.close()
+        self.process.wait()
+
+
+_free: list[_Worker] = []
 """Processes that wait for a file."""
 
 
-def read_raw_apart(data: bytes, name: str) -> Still:
-    """Return the contents of a camera raw file, as `read_still` does.
+def read_apart(data: bytes, name: str) -> Still:
+    """Return the contents of a JPEG, PNG, TIFF or camera raw file, as `read_still` does.
 
     Raises:
         CameraProtocolError: it is damaged, or decoding it takes too much memory or time, or crashes
-        UsageError: the package that reads raw files is not installed
+        UsageError: the package that reads this format is not installed
     """
+    if os.name != "posix":  # files are not passed to other processes there
+        return read_still(data, name)
     with _lock:
         worker = _free.pop() if _free else None
-    worker = worker or _started()
+    worker = worker or _Worker.started()
     try:
-        assert worker.stdin is not None
-        assert worker.stdout is not None
-        request = {"name": name, "bytes": len(data)}
-        worker.stdin.write(json.dumps(request).encode() + b"\n")
-        worker.stdin.write(data)
-        worker.stdin.flush()
-        still = _still(worker.stdout)
+        still = worker.read(data, name)
     except (OSError, ValueError, EOFError):
         raise _ended(worker, name) from None
     except (CameraProtocolError, UsageError):
         _set_free(worker)
         raise
     except BaseException:  # an interrupt leaves an answer behind
-        _end(worker)
+        worker.end()
         raise
     _set_free(worker)
     return still
 
 
-def _set_free(worker: subprocess.Popen[bytes]) -> None:
+def _set_free(worker: _Worker) -> None:
     with _lock:
         _free.append(worker)
 
 
-def _started() -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
-        _COMMAND,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,  # Control-C is this process's to handle
-    )
+def _shared_file() -> IO[bytes]:
+    """Return a file without a name: in memory where the system has such files."""
+    if hasattr(os, "memfd_create"):
+        return os.fdopen(os.memfd_create("camctl"), "w+b")
+    return tempfile.TemporaryFile()
 
 
-def _still(answers: IO[bytes]) -> Still:
+def _still(answer: bytes, shared: int) -> Still:
     """Return what the process answers; its numbers are checked, since a file may have taken over.
 
     Raises:
         ValueError, EOFError: it is no answer
         CameraProtocolError, UsageError: the process reports them
     """
-    line = answers.readline()
-    if not line.endswith(b"\n"):
+    if not answer.endswith(b"\n"):
         raise EOFError
-    head: dict[str, Any] = json.loads(line)
+    head: dict[str, Any] = json.loads(answer)
     if "error" in head:
         kind = UsageError if head["error"] == "UsageError" else CameraProtocolError
         raise kind(str(head["what"]), hint=str(head["hint"]))
@@ -89,15 +130,15 @@ def _still(answers: IO[bytes]) -> Still:
     size = int(np.prod(shape, dtype=object))
     if dtype not in (np.uint8, np.uint16) or not 0 < size <= 3 * MAX_PIXELS:
         raise ValueError
-    samples = np.empty(size * dtype.itemsize, np.uint8)
-    view, filled = samples.data, 0
-    while filled < samples.size:
-        count = answers.readinto(view[filled:])  # type: ignore[attr-defined]  # of a buffered reader
+    samples = np.empty(size, dtype)
+    view, filled = samples.view(np.uint8).data, 0
+    while filled < samples.nbytes:
+        count = os.preadv(shared, [view[filled:]], filled)
         if not count:
             raise EOFError
         filled += count
     return Still(
-        samples.view(dtype).reshape(shape),
+        samples.reshape(shape),
         Layout(head["layout"]),
         int(head["bits"]),
         int(head["black"]),
@@ -106,12 +147,12 @@ def _still(answers: IO[bytes]) -> Still:
     )
 
 
-def _ended(worker: subprocess.Popen[bytes], name: str) -> CameraProtocolError:
+def _ended(worker: _Worker, name: str) -> CameraProtocolError:
     """End a process that gives no answer; return the error for its file."""
     with suppress(subprocess.TimeoutExpired):
-        worker.wait(1.0)
-    status = worker.poll()
-    _end(worker)
+        worker.process.wait(1.0)
+    status = worker.process.poll()
+    worker.end()
     why = "its decoder ended without an answer"
     if status is not None and status < 0:
         took_long = status == -getattr(signal, "SIGXCPU", 0)
@@ -123,13 +164,4 @@ def _ended(worker: subprocess.Popen[bytes], name: str) -> CameraProtocolError:
 @atexit.register
 def _end_all() -> None:
     while _free:
-        _end(_free.pop())
-
-
-def _end(worker: subprocess.Popen[bytes]) -> None:
-    worker.kill()
-    for pipe in (worker.stdin, worker.stdout):
-        with suppress(OSError):
-            if pipe is not None:
-                pipe.close()
-    worker.wait()
+        _free.pop().end()

@@ -1,4 +1,4 @@
-"""Camera raw files of others: decoded in another process, whatever becomes of that."""
+"""Pictures of others: decoded in another process, whatever becomes of that."""
 
 from __future__ import annotations
 
@@ -11,22 +11,24 @@ from device_readers import still_files
 
 from camctl.errors import CameraProtocolError, DataError
 from camctl.stills import separate
-from camctl.stills.decoding import is_raw, read_still
+from camctl.stills.decoding import read_still
 from camctl.stills.files import read_photograph
-from camctl.stills.separate import read_raw_apart
+from camctl.stills.separate import read_apart
 
 pytest.importorskip("rawpy", reason="rawpy is not installed")
 
 
 def test_a_raw_file_is_the_same_from_another_process(tmp_path: Path) -> None:
     data = still_files()["a.dng"]
-    assert is_raw(data, "a.dng")
-    here, apart = read_still(data, "a.dng"), read_raw_apart(data, "a.dng")
+    here, apart = read_still(data, "a.dng"), read_apart(data, "a.dng")
     assert np.array_equal(here.pixels, apart.pixels)
     assert apart.pixels.dtype == here.pixels.dtype
     assert {**vars(here), "pixels": 0} == {**vars(apart), "pixels": 0}
     with pytest.raises(CameraProtocolError):
-        read_raw_apart(b"no raw file at all", "a.dng")
+        read_apart(b"no raw file at all", "a.dng")
+    for name in ("a.jpg", "a.tif"):  # after an error, and of few bytes
+        here, apart = read_still(still_files()[name], name), read_apart(still_files()[name], name)
+        assert np.array_equal(here.pixels, apart.pixels)
     assert len(separate._free) == 1  # the same process has answered
     (tmp_path / "b.cr2").write_bytes(b"no raw file at all")
     with pytest.raises(DataError):
@@ -48,5 +50,5 @@ def test_a_decoder_that_fails_is_the_error_of_its_file(
     monkeypatch.setattr(separate, "_COMMAND", (sys.executable, "-c", program))
     monkeypatch.setattr(separate, "_free", [])
     with pytest.raises(CameraProtocolError, match=why):
-        read_raw_apart(bytes(100), "a.cr2")
+        read_apart(bytes(100), "a.cr2")
     assert separate._free == []

@@ -1,9 +1,11 @@
-"""Decodes camera raw files in a process of its own, for `camctl.stills.separate`.
+"""Decodes pictures in a process of its own, for `camctl.stills.separate`.
 
-LibRaw reads formats of all makers, in C++ and without limits of its own.  What a file makes of it
-stays here: memory and processor time are limited, and a crash ends this process alone.
+The libraries of JPEG, PNG, TIFF and raw formats are written in C and C++ and have no limits of
+their own.  What a file makes of them stays here: memory and processor time are limited, and a
+crash ends this process alone.
 
-Requests and answers are a line of JSON, then as many bytes as it says: the file, and its samples.
+Requests and answers are lines of JSON.  The bytes that they speak of, the picture file and its
+samples, are in a file that both processes have open, since pipes take three times as long.
 """
 
 from __future__ import annotations
@@ -26,29 +28,29 @@ _MOST_BYTES = 4 << 30
 """Memory beyond the libraries: 400 megapixels of 2 bytes (`MAX_PIXELS`), held five times."""
 
 
-def serve(requests: BinaryIO, answers: BinaryIO) -> None:
+def serve(requests: BinaryIO, answers: BinaryIO, shared: int) -> None:
     """Answer requests until there are no more."""
     _limit_memory()
     for line in requests:
         request = json.loads(line)
-        data = requests.read(request["bytes"])
         _limit_time()
-        head, samples = _answer(data, request["name"])
-        answers.write(json.dumps(head).encode() + b"\n")
-        answers.write(samples)
+        answers.write(json.dumps(_answer(shared, request)).encode() + b"\n")
         answers.flush()
 
 
-def _answer(data: bytes, name: str) -> tuple[dict[str, Any], bytes | memoryview]:
+def _answer(shared: int, request: dict[str, Any]) -> dict[str, Any]:
+    """Replace the picture file in `shared` by its samples; return what they are."""
+    name = request["name"]
     try:
-        still = read_still(data, name)
+        still = read_still(os.pread(shared, request["bytes"], 0), name)
+        pixels = np.ascontiguousarray(still.pixels)
+        put(shared, pixels.reshape(-1).view(np.uint8).data)
     except CamctlError as error:
-        return {"error": type(error).__name__, "what": error.what, "hint": error.hint}, b""
+        return {"error": type(error).__name__, "what": error.what, "hint": error.hint}
     except MemoryError:
         what = f"{name} needs more than {_MOST_BYTES >> 30} GiB to be decoded"
-        return {"error": "CameraProtocolError", "what": what, "hint": "leave it out"}, b""
-    pixels = np.ascontiguousarray(still.pixels)
-    head = {
+        return {"error": "CameraProtocolError", "what": what, "hint": "leave it out"}
+    return {
         "shape": pixels.shape,
         "dtype": pixels.dtype.name,
         "layout": still.layout.value,
@@ -57,7 +59,13 @@ def _answer(data: bytes, name: str) -> tuple[dict[str, Any], bytes | memoryview]
         "white": still.white,
         "notes": still.notes,
     }
-    return head, pixels.reshape(-1).view(np.uint8).data
+
+
+def put(file: int, content: bytes | memoryview) -> None:
+    """Write to the beginning of a file that another process has open with the same position."""
+    view, done = memoryview(content), 0
+    while done < len(view):
+        done += os.pwrite(file, view[done:], done)
 
 
 def _limit_memory() -> None:
@@ -88,4 +96,4 @@ def _limit_time() -> None:
 if __name__ == "__main__":
     own = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what libraries print must not disturb the answers
-    serve(sys.stdin.buffer, own)
+    serve(sys.stdin.buffer, own, int(sys.argv[1]))
