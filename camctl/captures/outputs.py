@@ -114,6 +114,7 @@ def complete(
         len(shot.frames),
         controls.hot_pixels,
         movement,
+        controls.colour,
     )
     details = _details(unfinished, shot, checks, controls, outside, movement)
     files = store.keep_pictures(total, rendering, details)
@@ -280,6 +281,7 @@ def _details(
         dark=outside.dark,
         moved=None if movement is None else movement.found.share,
         spread=0.0 if movement is None else movement.found.spread,
+        colour=controls.colour,
     )
 
 

@@ -72,6 +72,13 @@ class SourceOptions:
         "[default: a border of one pure colour is cut off]",
         FILE,
     )
+    colour: str = declare(
+        "--colour bt709|camera",
+        "Colours of the pictures: linear light of the primaries of BT.709 (sRGB), with the white "
+        "balance of the first photograph; or R, G and B as they are in the files, for measuring.",
+        Name("colours of the pictures", ("bt709", "camera")),
+        default="bt709",
+    )
 
 
 _source_options = options.option_group(SourceOptions, "source")

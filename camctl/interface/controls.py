@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from camctl.errors import DataError, RefusedSettingError, UsageError
 from camctl.findings import Finding
 from camctl.interface.clock import CaptureTiming
+from camctl.interface.colour import CameraColour
 from camctl.interface.control_values import Choices as Choices
 from camctl.interface.control_values import Control as Control
 from camctl.interface.control_values import Steps as Steps
@@ -138,6 +139,8 @@ class ExposureControls:
         findings: what a person must know of its pictures, such as `camctl.findings.note`
         profile: what a calibration of this camera has replaced above, one line; None: nothing
         pixel_format: of the stream where the layout does not say all, such as yuyv or mjpg
+        colour: what R, G and B of its frames are, so that pictures are in linear BT.709; None: this
+            is not known, or pictures are to have the camera's own colours
         exposures_exact: the true exposures are as stated, to `tolerance`; False: they may differ
         repeatable: a frame can be shot again, and others at other settings; False: there are no
             frames beside those that are there
@@ -168,6 +171,7 @@ class ExposureControls:
     hot_pixels: tuple[tuple[int, int], ...] = ()
     profile: str | None = None
     pixel_format: str = ""
+    colour: CameraColour | None = None
     exposures_exact: bool = True
     repeatable: bool = True
     response_origin: ResponseOrigin = field(kw_only=True)

@@ -14,6 +14,7 @@ import numpy as np
 from camctl.errors import DataError
 from camctl.findings import Detail, Finding
 from camctl.interface.camera import Pixels
+from camctl.interface.colour import BT709, CameraColour
 from camctl.interface.controls import Layout
 from camctl.photographs.camera import Photograph
 from camctl.stills.exif import StatedExposure
@@ -51,6 +52,7 @@ class Format:
     white: int
     is_raw: bool
     quarter_turns: int = 0
+    colour: CameraColour | None = None
 
     @property
     def shape_on_sensor(self) -> tuple[int, ...]:
@@ -125,7 +127,7 @@ class PhotographFiles:
         time_s = None if self._times is None else self._times[position]
         if path.suffix.lower() == _EXR:
             linear, photograph = _read_exr(path, time_s, self._full)
-            this = Format(linear.shape, _layout_of(linear), 16, 0, _FULL_EXR, True)
+            this = Format(linear.shape, _layout_of(linear), 16, 0, _FULL_EXR, True, colour=BT709)
             return linear, this, photograph, ("",) * 3
         still, stated = read_photograph(path)
         photograph = _exposure(path, stated, time_s)
@@ -140,7 +142,7 @@ class PhotographFiles:
             turned: Any = np.rot90(pixels, turns)
             pixels = np.ascontiguousarray(turned)
         levels = (still.layout, still.bits, still.black, still.white)
-        this = Format(pixels.shape, *levels, is_raw, turns)
+        this = Format(pixels.shape, *levels, is_raw, turns, still.colour)
         return pixels, this, photograph, (stated.make, stated.model, stated.serial)
 
     def _note(self, code: str, position: int, **details: str) -> None:

@@ -65,6 +65,8 @@ class PhotographOptions:
             profile of the camera that the files name, or estimated
         mask: file of a picture that is black where the photographs are not valid; None: a border
             of one pure colour is cut off
+        colour: of the pictures: "bt709": linear BT.709, with the white balance of the first
+            photograph, where the files say what their colours are; "camera": as in the files
     """
 
     times: tuple[float | Fraction, ...] | None = None
@@ -73,6 +75,7 @@ class PhotographOptions:
     white: int | None = None
     curve: str | None = None
     mask: str | None = None
+    colour: str = "bt709"
 
     @property
     def are_exact(self) -> bool:
@@ -152,6 +155,8 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     planes = [each.shape for each in files.format.layout.planes(first)]
     exposures = [each.exposure for each in photographs]
     facts += [at(each, positions) for each in contradictions(exposures, patches, scale, planes)]
+    colour = files.format.colour if source.colour == "bt709" else None
+    controls = replace(controls, colour=colour)
     camera = PhotographCamera(
         photographs,
         lambda k: area.shown(files.pixels(positions[k]), controls.black),

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.interface.camera import CameraInfo, Pixels
+from camctl.interface.colour import CameraColour
 from camctl.interface.controls import ExposureControls, ExposureSetting, Layout
 from camctl.pictures.preview import srgb_codes
 from camctl.pictures.render import colour_of
@@ -58,6 +59,7 @@ class PictureDetails:
         dark: share of the samples that are too dark
         moved: share of the samples whose frames contradict each other; None: not examined
         spread: share of the samples that light spread to, which is not in `moved`
+        colour: as `ExposureControls.colour`: None: the colours of the pictures are the camera's own
     """
 
     camera: CameraInfo
@@ -72,6 +74,7 @@ class PictureDetails:
     dark: float
     moved: float | None = None
     spread: float = 0.0
+    colour: CameraColour | None = None
 
     @property
     def total_time_s(self) -> float:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from camctl.errors import DataError, OutOfMemoryError, UsageError
 from camctl.pictures.contact_sheet import contact_sheet
 from camctl.pictures.details import PictureDetails
+from camctl.pictures.icc import icc_profile
 from camctl.pictures.metadata import (
     EXR_PLACEHOLDER,
     exr_attributes,
@@ -86,7 +87,8 @@ def write_picture_files(
                 radiance_part, radiance, (width, height), rendering, details
             ) as exr:
                 codes = _written(total, rendering, exr, reducer, threads)
-                _write_image(image_part, codes, total, rendering, tags)
+                profile = _profile(rendering)
+                _write_image(image_part, codes, total, rendering, tags | {"iccprofile": profile})
         finally:
             summed.result()  # raises its error before the errors of the others
         return_free_memory()
@@ -136,6 +138,13 @@ def _write_image(
         photometric="minisblack" if rendering.channels == "Y" else "rgb",
         **tags,
     )
+
+
+def _profile(rendering: Rendering) -> bytes | None:
+    """Return the ICC profile of image.tiff; None where its colours are the camera's own."""
+    if rendering.channels == "Y":
+        return None
+    return None if rendering.colour is None else icc_profile(rendering.desired)
 
 
 def _write_sum(path: Path, total: NDArray[np.unsignedinteger], tags: dict[str, Any]) -> None:

@@ -12,9 +12,11 @@ import zlib
 from collections.abc import Mapping
 from email.utils import format_datetime
 from fractions import Fraction
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from camctl.interface.colour import BT709_PRIMARIES, D65
 from camctl.pictures.details import PictureDetails
 
 _COMMENT = "comments"
@@ -25,8 +27,6 @@ EXR_PLACEHOLDER = {_COMMENT: b" " * _ROOM}
 
 #: Characters of a text at most.
 _LONGEST_TEXT = 100
-#: Chromaticities of the primaries and of white, x and y: ITU-R BT.709, which is sRGB.
-_BT709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 #: Numbers of TIFF tags: maker and model (TIFF 6.0), serial number (DNG).
 _MAKE, _MODEL, _SERIAL = 271, 272, 50735
 #: The same of shutter time and f-number (TIFF/EP), and of their type, a ratio of two integers.
@@ -37,6 +37,10 @@ _ISO_SPEED, _SHORT, _LARGEST_SHORT = 34855, 3, 65535
 _LARGEST_INTEGER = 10**9
 #: Rendering intent of a PNG file in sRGB: perceptual.
 _PERCEPTUAL = b"\0"
+#: Colour types of PNG files without colours.
+_GREY_TYPES = (0, 4)
+#: Code points of sRGB (ITU-T H.273): primaries of BT.709, its own curve, R G B, full range.
+_SRGB_CODES = bytes((1, 13, 0, 1))
 _PNG_HEADER = 8 + 4 + 4 + 13 + 4
 
 Attribute = str | float | tuple[float, ...]
@@ -45,8 +49,8 @@ Attribute = str | float | tuple[float, ...]
 def exr_attributes(details: PictureDetails, channels: str) -> dict[str, Attribute]:
     """Return the standard attributes of radiance.exr by name.
 
-    The colours are the camera's, without a conversion; viewers show them by the chromaticities of
-    BT.709.  `expTime` is the sum of the shutter times.
+    Chromaticities are stated where the colours have them, and not for the camera's own R, G, B.
+    `expTime` is the sum of the shutter times.
     """
     camera = details.camera
     found: dict[str, Attribute] = {
@@ -68,8 +72,8 @@ def exr_attributes(details: PictureDetails, channels: str) -> dict[str, Attribut
         found["capDate"] = f"{details.taken_at:%Y:%m:%d %H:%M:%S}"
         # OpenEXR counts from local time to UTC.
         found["utcOffset"] = -offset.total_seconds() if offset is not None else 0.0
-    if len(channels) == 3:
-        found["chromaticities"] = _BT709
+    if len(channels) == 3 and details.colour is not None:
+        found["chromaticities"] = tuple(chain(*BT709_PRIMARIES, D65))
     return {name: value for name, value in found.items() if value != ""}
 
 
@@ -115,14 +119,20 @@ def tiff_tags(details: PictureDetails) -> dict[str, Any]:
 
 
 def png_with_metadata(png: bytes, details: PictureDetails) -> bytes:
-    """Return a PNG file in sRGB with the chunk that says so, and with date, camera and software."""
+    """Return a PNG file with date, camera and software, and with chunks that say that it is sRGB.
+
+    Pictures with the camera's own colours are not.
+    """
     texts = {
         "Software": details.software,
         "Source": details.camera.name,
     }
     if details.taken_at is not None:
         texts["Creation Time"] = format_datetime(details.taken_at)  # as PNG asks, RFC 1123
-    chunks = [_chunk(b"sRGB", _PERCEPTUAL)]
+    chunks = []
+    is_grey = png[_PNG_HEADER - 4 - 13 + 9] in _GREY_TYPES
+    if details.colour is not None or is_grey:
+        chunks = [_chunk(b"cICP", _SRGB_CODES), _chunk(b"sRGB", _PERCEPTUAL)]
     chunks += [_chunk(b"tEXt", f"{key}\0{_ascii(text)}".encode()) for key, text in texts.items()]
     return png[:_PNG_HEADER] + b"".join(chunks) + png[_PNG_HEADER:]
 

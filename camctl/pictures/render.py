@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 
 from camctl.evidence.movement import Movement
 from camctl.interface.camera import Pixels
+from camctl.interface.colour import CameraColour
 from camctl.interface.controls import Layout
 from camctl.model.inverse import Posterior
 from camctl.model.response.desired import DesiredResponse
+from camctl.pictures.colour import deviation_in_bt709, in_gamut, to_bt709
 from camctl.pictures.frame_light import FrameLight
 from camctl.system.picture_operations import channels_apart, channels_together, correlated, dilated
 
@@ -225,6 +227,7 @@ class Rendering:
             their neighbours of the same colour in their place, the irradiance stays as it is
         movement: where the frames contradict each other; such samples have the mask
             `CONTRADICTING`
+        colour: turns R, G and B into linear BT.709; None: they stay as they are
     """
 
     layout: Layout
@@ -235,6 +238,7 @@ class Rendering:
     count: int
     hot_pixels: tuple[tuple[int, int], ...] = ()
     movement: Movement | None = None
+    colour: CameraColour | None = None
 
     @property
     def full(self) -> float:
@@ -306,14 +310,50 @@ class Rendering:
             inner = slice(rows.start - first, rows.stop - first)
             found = estimate, bare, deviation
             return self._mosaic_strip(sums, shown, found, marks, first, inner)
-        irradiance = tuple(_rounded(each, self._bits) for each in channels_apart(estimate))
-        light = irradiance if bare is estimate else channels_apart(bare)
         mask = self._look_up("mask", channels_apart(sums))
         for more in marks:
             mask = tuple(map(np.bitwise_or, mask, channels_apart(more)))
+        if self._converts:
+            coded = self._look_up("shown", channels_apart(shown))
+            lights = channels_apart(estimate), channels_apart(bare), channels_apart(deviation)
+            return self._converted(*lights, mask, coded)
+        irradiance = tuple(_rounded(each, self._bits) for each in channels_apart(estimate))
+        light = irradiance if bare is estimate else channels_apart(bare)
         code = channels_together(self._look_up("code", channels_apart(shown)))
         errors = tuple(_rounded(each, _DEVIATION_BITS) for each in channels_apart(deviation))
         return Strip(irradiance, light, errors, mask, code)
+
+    @property
+    def _converts(self) -> bool:
+        return self.colour is not None and not self.colour.is_identity and self.channels != "Y"
+
+    def _converted(
+        self,
+        irradiance: _Planes,
+        light: _Planes,
+        deviation: _Planes,
+        mask: tuple[NDArray[np.uint8], ...],
+        shown: _Planes,
+    ) -> Strip:
+        """Return a strip in linear BT.709; irradiance and what is shown are the camera's R, G, B.
+
+        Irradiance of a colour outside of BT.709 has negative channels.
+        """
+        assert self.colour is not None
+        full = [table.full / self.light.unit for table in self.tables] * (3 // len(self.tables))
+        found = to_bt709(self.colour, irradiance, full)
+        lit = found if light is irradiance else to_bt709(self.colour, light, full)
+        code = to_bt709(self.colour, shown, (1.0,) * 3)
+        return Strip(
+            tuple(_rounded(each, self._bits) for each in found),
+            in_gamut(lit, light),
+            tuple(
+                _rounded(each, _DEVIATION_BITS)
+                for each in deviation_in_bt709(self.colour, deviation)
+            ),
+            mask,
+            encode(self.desired, channels_together(code)),
+        )
 
     def _bare(
         self,
@@ -360,6 +400,14 @@ class Rendering:
             mask |= demosaic_mask(more)
         irradiance = colours(estimate, self._bits)
         coded = self._mosaic_values("shown", shown)
+        if self._converts:
+            return self._converted(
+                irradiance,
+                irradiance if bare is estimate else colours(bare, self._bits),
+                tuple(each[inner] for each in deviation),
+                (mask[inner],) * 3,
+                colours(coded, _MOST_BITS),
+            )
         return Strip(
             irradiance,
             irradiance if bare is estimate else colours(bare, self._bits),

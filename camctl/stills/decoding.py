@@ -11,6 +11,7 @@ from __future__ import annotations
 import io
 import struct
 import zlib
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
@@ -20,8 +21,10 @@ from numpy.typing import NDArray
 
 from camctl.errors import CameraProtocolError, UsageError
 from camctl.interface.camera import Pixels
+from camctl.interface.colour import CameraColour
 from camctl.interface.controls import Layout
 from camctl.profiles.profile import StillRecord
+from camctl.stills.colour import stated_colour
 from camctl.stills.exif import PNG, png_chunks
 from camctl.stills.jpeg import CUT_SHORT, JpegStructure
 from camctl.system.library_output import quiet_libraries, with_messages
@@ -62,6 +65,7 @@ class Still:
         black: brightness without light, DN
         white: brightness from which a sample is saturated, DN
         notes: what the user should know, one line each
+        colour: what its R, G and B are; None: not known
     """
 
     pixels: Pixels
@@ -70,6 +74,7 @@ class Still:
     black: int
     white: int
     notes: tuple[str, ...] = ()
+    colour: CameraColour | None = None
 
     @property
     def record(self) -> StillRecord:
@@ -101,7 +106,10 @@ def read_still(data: bytes, name: str) -> Still:
         UsageError: the package that reads this format is not installed
     """
     with quiet_libraries():
-        return _read(data, name)
+        still = _read(data, name)
+        if still.layout is Layout.RGB and still.colour is None:
+            still = replace(still, colour=stated_colour(data))
+        return still
 
 
 def _read(data: bytes, name: str) -> Still:
@@ -301,6 +309,7 @@ def _mosaic(raw: Any, name: str) -> Still:
     black = max(blacks[int(channel)] for channel in np.unique(channels))
     if not 0 <= black < white < 1 << 16:
         raise _damaged(name, f"its black level is {black} and its white level {white}")
+    colour = None if layout is Layout.MONO else _raw_colour(raw)
     bits = white.bit_length()
     pixels = np.minimum(samples, np.uint16(2**bits - 1))
     raise_by = np.array([black - level for level in blacks])[channels]
@@ -312,8 +321,18 @@ def _mosaic(raw: Any, name: str) -> Still:
             f"were raised to black level {black}",
         )
     if bits <= 8:
-        return Still(pixels.astype(np.uint8), layout, bits, black, white, notes)
-    return Still(pixels, layout, bits, black, white, notes)
+        return Still(pixels.astype(np.uint8), layout, bits, black, white, notes, colour)
+    return Still(pixels, layout, bits, black, white, notes, colour)
+
+
+def _raw_colour(raw: Any) -> CameraColour | None:
+    """Return the matrix that LibRaw knows of a camera, with the white balance as shot."""
+    balances = (raw.camera_whitebalance, raw.daylight_whitebalance)
+    matrix = np.asarray(raw.rgb_xyz_matrix, np.float64)[:3]
+    for balance in balances:
+        with suppress(ValueError):
+            return CameraColour.of_raw(matrix, np.asarray(balance, np.float64)[:3])
+    return None
 
 
 def _layout(raw: Any, samples: NDArray[np.uint16], name: str) -> tuple[Layout, NDArray[np.intp]]:

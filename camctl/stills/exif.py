@@ -25,7 +25,8 @@ _FIRED = 1  # its lowest bit
 _ORIENTATION = (274, "Orientation")
 _QUARTER_TURNS = {1: 0, 3: 2, 6: 3, 8: 1}  # mirrored pictures are no camera's
 _CHANGED = (306, "DateTime")  # of the file, where it does not say when the picture was taken
-_EXIF_IFD = "ExifTag"
+_EXIF_IFD, _INTEROPERABILITY = "ExifTag", "InteroperabilityTag"
+_SRGB = 1  # of the tag ColorSpace
 _LARGEST_ISO = 65535  # of the tag; it stands for higher ones, too, which one of these states
 _SENSITIVITIES = (
     (34866, "RecommendedExposureIndex"),
@@ -75,9 +76,7 @@ def stated_exposure(data: bytes) -> StatedExposure:
     """
     import tifffile
 
-    tags = _exif_of_jpeg(data) if data.startswith(_JPEG) else data
-    tags = _exif_of_png(data) if data.startswith(PNG) else tags
-    if tags is None:
+    if (tags := _tags(data)) is None:
         return StatedExposure()
     try:
         with quiet_libraries(), tifffile.TiffFile(io.BytesIO(tags)) as file:
@@ -105,6 +104,26 @@ def stated_exposure(data: bytes) -> StatedExposure:
             )
     except Exception:  # a damaged tag can cause any error in tifffile
         return StatedExposure()
+
+
+def stated_colour_space(data: bytes) -> str:
+    """Return "sRGB", "Adobe RGB" (DCF 2.0, 3.2), or "" where the tags of a file state neither."""
+    import tifffile
+
+    if (tags := _tags(data)) is None:
+        return ""
+    try:
+        with quiet_libraries(), tifffile.TiffFile(io.BytesIO(tags)) as file:
+            top = file.pages.first.tags
+            exif = top[_EXIF_IFD].value if _EXIF_IFD in top else {}
+            index = top[_INTEROPERABILITY].value if _INTEROPERABILITY in top else {}
+            index = exif.get(_INTEROPERABILITY, index)
+            rules = index.get("InteroperabilityIndex", "") if isinstance(index, dict) else ""
+            if exif.get("ColorSpace") == _SRGB:
+                return "sRGB"
+            return "Adobe RGB" if str(rules).startswith("R03") else ""
+    except Exception:  # a damaged tag can cause any error in tifffile
+        return ""
 
 
 def exposure_time_s(data: bytes) -> float | None:
@@ -155,15 +174,31 @@ def _gain(ratings: object, sensitivities: list[float | None]) -> float | None:
     return None if iso is None else iso / 100
 
 
-def _exif_of_jpeg(data: bytes) -> bytes | None:
-    """Return the EXIF data of application segment 1, which has the structure of a TIFF file."""
+def _tags(data: bytes) -> bytes | None:
+    """Return what of a file has the structure of a TIFF file; None: nothing has."""
+    if data.startswith(PNG):
+        return next(
+            (data[start:end] for kind, start, end in png_chunks(data) if kind == b"eXIf"), None
+        )
+    if not data.startswith(_JPEG):
+        return data
+    return next(
+        (
+            data[start + 6 : end]
+            for kind, start, end in jpeg_segments(data)
+            if kind == _APP1 and data.startswith(b"Exif\0\0", start)
+        ),
+        None,
+    )
+
+
+def jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield the marker of each segment before the picture, and where its contents begin and end."""
     at = 2
     while at + 4 <= len(data) and data[at] == 0xFF and data[at + 1] != _START_OF_SCAN:
         (length,) = struct.unpack_from(">H", data, at + 2)
-        if data[at + 1] == _APP1 and data[at + 4 : at + 10] == b"Exif\0\0":
-            return data[at + 10 : at + 2 + length]
+        yield data[at + 1], at + 4, at + 2 + max(length, 2)
         at += 2 + max(length, 2)
-    return None
 
 
 def png_chunks(data: bytes) -> Iterator[tuple[bytes, int, int]]:
@@ -175,8 +210,3 @@ def png_chunks(data: bytes) -> Iterator[tuple[bytes, int, int]]:
             return
         yield kind, at + 8, at + 8 + length
         at += 12 + length
-
-
-def _exif_of_png(data: bytes) -> bytes | None:
-    """Return the contents of the chunk eXIf, which has the structure of a TIFF file."""
-    return next((data[start:end] for kind, start, end in png_chunks(data) if kind == b"eXIf"), None)

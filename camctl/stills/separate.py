@@ -20,6 +20,7 @@ from typing import IO, Any
 import numpy as np
 
 from camctl.errors import CameraProtocolError, UsageError
+from camctl.interface.colour import CameraColour
 from camctl.interface.controls import Layout
 from camctl.stills.decoding import MAX_PIXELS, Still, read_still
 from camctl.stills.worker import put
@@ -144,7 +145,22 @@ def _still(answer: bytes, shared: int) -> Still:
         int(head["black"]),
         int(head["white"]),
         tuple(str(each) for each in head["notes"]),
+        _colour(head.get("colour")),
     )
+
+
+def _colour(found: Any) -> CameraColour | None:
+    """Return the colours in an answer; raises `ValueError` where they are no numbers."""
+    if found is None:
+        return None
+    shapes = {"matrix": (3, 3), "white_balance": (3,), "xyz_to_camera": (3, 3)}
+    if not found["xyz_to_camera"]:
+        shapes["xyz_to_camera"] = (0,)
+    values = {name: np.array(found[name], float) for name in shapes}
+    if any(values[name].shape != shape for name, shape in shapes.items()):
+        raise ValueError
+    rows = {name: tuple(map(tuple, found[name])) for name in ("matrix", "xyz_to_camera")}
+    return CameraColour(rows["matrix"], tuple(found["white_balance"]), rows["xyz_to_camera"])
 
 
 def _ended(worker: _Worker, name: str) -> CameraProtocolError:

@@ -14,6 +14,7 @@ import json
 import os
 import sys
 import time
+from dataclasses import asdict
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -58,6 +59,7 @@ def _answer(shared: int, request: dict[str, Any]) -> dict[str, Any]:
         "black": still.black,
         "white": still.white,
         "notes": still.notes,
+        "colour": None if still.colour is None else asdict(still.colour),
     }
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.interface.camera import CameraInfo
+from camctl.interface.colour import BT709
 from camctl.interface.controls import ExposureSetting, Layout
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import posterior_of
@@ -43,7 +44,17 @@ def details(
     )
     camera = CameraInfo("bench:0", "Bénch", "Camera 1", "S/N 7", "bench")
     return PictureDetails(
-        camera, TAKEN_AT, "camctl 1.2.3", "log", 1e-3, 1.0, "as the scene", frames, 0.02, 0.4
+        camera,
+        TAKEN_AT,
+        "camctl 1.2.3",
+        "log",
+        1e-3,
+        1.0,
+        "as the scene",
+        frames,
+        0.02,
+        0.4,
+        colour=BT709,
     )
 
 

@@ -152,7 +152,7 @@ def test_png_chunks_are_whole_and_pixels_stay(cv2: Any) -> None:
         assert struct.unpack_from(">I", png, place + 8 + size)[0] == zlib.crc32(data)
         kinds.append(kind)
         place += 12 + size
-    assert kinds[:2] == [b"IHDR", b"sRGB"]
+    assert kinds[:3] == [b"IHDR", b"cICP", b"sRGB"]
     assert kinds[-1] == b"IEND"
     decoded = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED)
     assert decoded is not None

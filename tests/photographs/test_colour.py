@@ -1,0 +1,133 @@
+"""Colours of merged photographs: the camera's matrix and white balance, profiles, the ends."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import OpenEXR
+import pytest
+import tifffile
+from bracketed_photographs import photograph, save
+from numpy.typing import NDArray
+from raw_photographs import NEUTRAL, camera_rgb, mosaic, raw_file
+
+from camctl import CaptureReport, CaptureRequest, PhotographOptions, merge
+from camctl.interface.colour import BT709_PRIMARIES, D65, CameraColour, rgb_to_xyz
+from camctl.model.response.desired import desired_response
+from camctl.pictures.icc import icc_profile
+from camctl.stills.decoding import read_still
+
+TIMES = (1 / 64, 1 / 8, 1.0)
+_DISPLAY_P3 = ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060))
+
+
+def patches(rows: int = 96, columns: int = 128) -> NDArray[np.float64]:
+    """Return squares of colours of BT.709 over 1:60, smooth at their borders."""
+    rng = np.random.default_rng(4)
+    colours = rng.uniform(0.05, 1, (6, 8, 3)) * np.geomspace(0.1, 6, 8)[None, :, None]
+    scene = cv2.resize(colours, (columns, rows), interpolation=cv2.INTER_NEAREST)
+    return np.asarray(cv2.GaussianBlur(scene, (0, 0), 1.0), np.float64)
+
+
+SCENE = patches()
+
+
+@pytest.fixture
+def raw_files(tmp_path: Path) -> list[Path]:
+    pytest.importorskip("rawpy", reason="rawpy is missing: pip install 'camctl[raw]'")
+    files = []
+    for time_s in TIMES:
+        files.append(tmp_path / f"r{round(1 / time_s)}.dng")
+        files[-1].write_bytes(raw_file(mosaic(SCENE, time_s), time_s))
+    return files
+
+
+def merged(files: list[Path], **options: Any) -> CaptureReport:
+    known = PhotographOptions(labels="exact", **options)
+    return merge(files, CaptureRequest("linear"), files[0].parent / "out", options=known)
+
+
+def colour_errors(found: NDArray[Any], scene: NDArray[Any]) -> NDArray[Any]:
+    """Return relative differences of the channels at the centres of the squares."""
+    at = np.s_[8::16, 8::16]
+    found, scene = found[at], scene[at]
+    return np.asarray(found / found[..., 1:2] / (scene / scene[..., 1:2]) - 1)
+
+
+def test_raw_photographs_give_linear_bt709(raw_files: list[Path]) -> None:
+    report = merged(raw_files)
+    errors = colour_errors(report.radiance(), SCENE)
+    assert np.median(np.abs(errors)) < 0.01
+    assert np.percentile(np.abs(errors), 90) < 0.03
+    folder = raw_files[0].parent / "out"
+    with OpenEXR.File(str(folder / "radiance.exr"), header_only=True) as file:
+        bt709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
+        assert file.header()["chromaticities"] == pytest.approx(bt709)
+    assert b"cICP" in (folder / "preview.png").read_bytes()[:100]
+    with tifffile.TiffFile(folder / "image.tiff") as tiff:
+        assert tiff.pages.first.tags[34675].value[16:20] == b"RGB "
+        code = tiff.asarray()
+    bright = np.s_[:, 96:]  # codes of the darker ones are rounded
+    assert np.median(np.abs(colour_errors(code[bright].astype(float), SCENE[bright]))) < 0.02
+    assert np.nanmedian(report.standard_deviation()) > 0
+
+
+def test_camera_colours_are_as_in_the_files_and_state_nothing(raw_files: list[Path]) -> None:
+    report = merged(raw_files, colour="camera")
+    errors = colour_errors(report.radiance(), camera_rgb(SCENE))
+    assert np.median(np.abs(errors)) < 0.01
+    folder = raw_files[0].parent / "out"
+    with OpenEXR.File(str(folder / "radiance.exr"), header_only=True) as file:
+        assert "chromaticities" not in file.header()
+    assert b"cICP" not in (folder / "preview.png").read_bytes()[:100]
+    with tifffile.TiffFile(folder / "image.tiff") as tiff:
+        assert 34675 not in tiff.pages.first.tags
+
+
+def test_light_that_saturates_every_photograph_is_white(raw_files: list[Path]) -> None:
+    scene = SCENE.copy()
+    scene[20:40, 20:40] = 400.0
+    for file, time_s in zip(raw_files, TIMES, strict=True):
+        file.write_bytes(raw_file(mosaic(scene, time_s), time_s))
+    white = merged(raw_files).radiance()[25:35, 25:35]
+    assert np.abs(white / white[..., 1:2] - 1).max() < 0.01
+
+
+def profile_of(primaries: tuple[tuple[float, float], ...], monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.setattr("camctl.pictures.icc.BT709_PRIMARIES", primaries)
+    return icc_profile(desired_response("gamma", 256.0))
+
+
+def test_photographs_with_a_profile_of_other_primaries_are_converted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    profile = profile_of(_DISPLAY_P3, monkeypatch)
+    files = []
+    for k, time_s in enumerate((0.01, 0.04, 0.16)):
+        pixels = photograph(time_s)[::2, ::2]
+        files.append(tmp_path / f"p{k}.tif")
+        tifffile.imwrite(files[-1], pixels, photometric="rgb", iccprofile=profile, metadata=None)
+    options = PhotographOptions(times=(0.01, 0.04, 0.16), curve="srgb")
+    plain = PhotographOptions(times=(0.01, 0.04, 0.16), curve="srgb", colour="camera")
+    found = merge(files, options=options).radiance()
+    before = merge(files, options=plain).radiance()
+    to_709 = np.linalg.solve(rgb_to_xyz(BT709_PRIMARIES, D65), rgb_to_xyz(_DISPLAY_P3, D65))
+    assert found == pytest.approx(before @ to_709.T, rel=0.01)
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif"])
+def test_files_without_a_profile_have_the_primaries_of_bt709(tmp_path: Path, suffix: str) -> None:
+    file = save(tmp_path / f"a{suffix}", photograph(0.04))
+    still = read_still(file.read_bytes(), file.name)
+    assert still.colour is not None
+    assert still.colour.is_identity
+
+
+def test_colours_of_a_camera_need_a_matrix() -> None:
+    with pytest.raises(ValueError, match="matrix"):
+        CameraColour.of_raw(np.zeros((3, 3)), NEUTRAL)
+    with pytest.raises(ValueError, match="white balance"):
+        CameraColour.of_raw(np.eye(3), np.array([0.0, 1.0, 1.0]))
