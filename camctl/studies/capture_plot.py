@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from camctl.studies.bracket_methods import FRONT, LABELS, METHODS
 from camctl.studies.capture_rows import CaptureStudy, Rated
-from camctl.system.plots import COLOURS, plot
+from camctl.system.plots import COLOURS, plain_ticks, plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,7 +60,8 @@ def draw_study(study: CaptureStudy, paths: tuple[Path, ...]) -> None:
         _widen(axes)
         _label_front(axes, study.around)
         _label_counts(axes, [each for each in study.results if each[0].method != FRONT])
-        _plain_ticks(axes)
+        for axis in (axes.xaxis, axes.yaxis):
+            plain_ticks(axis)
         axes.legend(loc="lower right", fontsize=7.5, framealpha=0.9)
 
 
@@ -132,15 +133,3 @@ def _label_counts(axes: Axes, dots: list[Rated]) -> None:
             continue
         taken.append(place)
         axes.annotate(str(run.n), (x, y), (5, -3), textcoords="offset points", fontsize=7, va="top")
-
-
-def _plain_ticks(axes: Axes) -> None:
-    """Write the numbers of both axes in full: 0.2, 1, 20."""
-    from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
-
-    for axis in (axes.xaxis, axes.yaxis):
-        least, most = axis.get_view_interval()
-        ticks = LogLocator(subs=(1.0, 2.0, 5.0)).tick_values(least, most)
-        axis.set_major_locator(FixedLocator([tick for tick in ticks if least <= tick <= most]))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_locator(NullLocator())

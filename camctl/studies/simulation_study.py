@@ -1,18 +1,19 @@
 """Fidelity of the simulated sensor against its time: what each tolerance changes and saves.
 
 A frame is compared, level by level, with the frame of the same scene, exposure and random numbers
-in which every effect was simulated (tolerance 0).  Exposures are metered, so that the highlights
-lie just below saturation, or lie a given number of stops away from that.
+in which every effect was simulated.  Beside tolerances, which leave out what changes little in this
+exposure, there are methods that leave out the same effects in every one.  Exposures are metered, so
+that the highlights lie just below saturation, or lie a given number of stops away from that.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from statistics import median
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -21,12 +22,37 @@ from camctl.errors import UsageError
 from camctl.interface.controls import ExposureSetting
 from camctl.profiles.calibrated import open_camera
 from camctl.sim.camera import SimulatedCamera
+from camctl.sim.effects import EFFECTS
+from camctl.sim.effects.budget import FramePlan, plan_frame
+from camctl.sim.effects.optics import OPTICS
+from camctl.sim.render import Renderer
+from camctl.sim.scenes.view import View
 
 if TYPE_CHECKING:
-    from camctl.interface.camera import Camera, Frame
+    from camctl.interface.camera import Camera, Pixels
 
 TOLERANCES_DN = (0.0, 0.1, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Tolerances of a study, by default."""
+
+CAMCTL, COMPLETE = "camctl", "every effect"
+"""The method that leaves out what a tolerance allows, and the one that leaves out nothing."""
+
+_SIMPLE = {"colour mosaic", "photon noise", "full well", "read noise"}
+_SIMPLE |= {"response curve", "black level", "quantisation"}
+"""What simple simulations of a sensor have."""
+
+FIXED: dict[str, tuple[str, ...]] = {
+    COMPLETE: (),
+    "no optics": tuple(effect.name for effect in OPTICS if effect.name != "colour mosaic"),
+    "noise only": tuple(effect.name for effect in EFFECTS if effect.name not in _SIMPLE),
+}
+"""The other methods, with the effects that they leave out of every frame."""
+
+IN_WORDS_DN = 0.5, 4.0
+"""Tolerances of which the text says in words what they cost: half a level, and some."""
+
+_Choice: TypeAlias = tuple[str, float | None]
+"""A method and, of camctl, the tolerance in DN."""
 
 
 @dataclass(frozen=True)
@@ -77,12 +103,13 @@ class SimulationRun:
 
 @dataclass(frozen=True)
 class SimulationPoint:
-    """What a tolerance changes and costs.
+    """What leaving out effects changes, and what it costs.
 
     Attributes:
-        tolerance_dn: the tolerance, DN
+        method: `CAMCTL`, or one of `FIXED`
+        tolerance_dn: the tolerance of camctl, DN; None: another method
         time_s: shutter time of the frames, s
-        bound_dn: the most that leaving out effects can change before the ADC, DN
+        bound_dn: the most that leaving out effects can change before the ADC, DN; None: anything
         largest_dn: largest difference of a sample from the frame with every effect, levels
         mean_dn: mean absolute difference, levels
         shift_dn: difference of the means of all samples, levels
@@ -91,9 +118,10 @@ class SimulationPoint:
         left_out: those that scene and sensor have, and that were left out
     """
 
-    tolerance_dn: float
+    method: str
+    tolerance_dn: float | None
     time_s: float
-    bound_dn: float
+    bound_dn: float | None
     largest_dn: int
     mean_dn: float
     shift_dn: float
@@ -103,71 +131,88 @@ class SimulationPoint:
 
 
 def measure(run: SimulationRun) -> tuple[SimulationPoint, ...]:
-    """Return a point for each tolerance of a run.
+    """Return a point for each tolerance of a run, then for each method in `FIXED`.
 
     Raises:
         CamctlError: a scene, sensor or size that cannot be used; light that cannot be metered
     """
     with run.camera(0.0) as camera:
+        assert isinstance(camera, SimulatedCamera)
+        scene, sensor, controls = camera.scene, camera.sensor, camera.controls
         time_s = meter(MeteringFrames(camera)).setting.time_s * 2**run.stops
-        setting = ExposureSetting(camera.controls.time_s.nearest(time_s))
-    tolerances_dn = tuple(dict.fromkeys((0.0, *run.tolerances_dn)))
-    frames, seconds, effects = _take(run, setting, tolerances_dn)
-    complete = effects[0.0]
+    setting = ExposureSetting(controls.time_s.nearest(time_s))
+    choices: list[_Choice] = [(CAMCTL, tolerance_dn) for tolerance_dn in run.tolerances_dn]
+    choices += [(method, None) for method in FIXED]
+    view = View.of(scene, sensor)
+    renderers = {
+        choice: Renderer(view, sensor, seed=run.seed, tolerance_dn=choice[1] or 0.0)
+        for choice in choices
+    }
+    taken = _take(run, setting, renderers)
+    reference = taken[COMPLETE, None]
     points = []
-    for tolerance_dn in run.tolerances_dn:
+    for (method, tolerance_dn), found in taken.items():
         differences = [
-            frame.pixels.astype(np.int32) - reference.pixels
-            for frame, reference in zip(frames[tolerance_dn], frames[0.0], strict=True)
+            frame.astype(np.int32) - complete
+            for frame, complete in zip(found.frames, reference.frames, strict=True)
         ]
-        ran = effects[tolerance_dn]
+        bound_dn = found.plan.joint_bound_dn
         points.append(
             SimulationPoint(
+                method=method,
                 tolerance_dn=tolerance_dn,
                 time_s=setting.time_s,
-                bound_dn=max(float(_plan(f)["joint_bound_dn"]) for f in frames[tolerance_dn]),
+                bound_dn=bound_dn if math.isfinite(bound_dn) else None,
                 largest_dn=max(int(np.abs(each).max()) for each in differences),
                 mean_dn=float(np.mean([np.abs(each).mean() for each in differences])),
                 shift_dn=float(np.mean([each.mean() for each in differences])),
-                milliseconds=1e3 * seconds[tolerance_dn],
-                effects=ran,
-                left_out=tuple(name for name in complete if name not in ran),
+                milliseconds=1e3 * found.seconds,
+                effects=found.plan.simulated,
+                left_out=tuple(
+                    name for name in reference.plan.simulated if not found.plan.runs(name)
+                ),
             )
         )
     return tuple(points)
 
 
+@dataclass(eq=False)
+class _Taken:
+    """Frames of one method, the least CPU time of one, s, and the plan of the last."""
+
+    frames: list[Pixels]
+    seconds: float
+    plan: FramePlan
+
+
 def _take(
-    run: SimulationRun, setting: ExposureSetting, tolerances_dn: Sequence[float]
-) -> tuple[dict[float, list[Frame]], dict[float, float], dict[float, tuple[str, ...]]]:
-    """Return frames at one setting, the least CPU time of one, s, and its effects, by tolerance.
+    run: SimulationRun, setting: ExposureSetting, renderers: Mapping[_Choice, Renderer]
+) -> dict[_Choice, _Taken]:
+    """Return frames at one setting by each method.
 
-    Each frame is requested alone and has the whole tolerance.  The tolerances take turns, so that
-    other work on the machine disturbs all alike.  The first frame of a camera, in which it prepares
-    what all frames of the scene share, is left out.
+    The methods take turns, so that other work on the machine disturbs all alike.  The first frame
+    of each, in which it prepares what all frames of the scene share, is left out.
     """
-    frames: dict[float, list[Frame]] = {tolerance_dn: [] for tolerance_dn in tolerances_dn}
-    seconds = dict.fromkeys(tolerances_dn, math.inf)
-    effects: dict[float, tuple[str, ...]] = {}
-    with ExitStack() as opened:
-        cameras = {t: opened.enter_context(run.camera(t)) for t in tolerances_dn}
-        for turn in range(run.frames + 1):
-            for tolerance_dn, camera in cameras.items():
-                started = time.process_time()
-                taken = list(camera.shoot((setting,)))
-                spent = time.process_time() - started
-                assert isinstance(camera, SimulatedCamera)
-                assert camera.last_plan is not None
-                effects[tolerance_dn] = camera.last_plan.simulated
-                if turn > 0:
-                    frames[tolerance_dn] += taken
-                    seconds[tolerance_dn] = min(seconds[tolerance_dn], spent)
-    return frames, seconds, effects
-
-
-def _plan(frame: Frame) -> dict[str, Any]:
-    plan: dict[str, Any] = frame.details["simulation"]
-    return plan
+    found: dict[_Choice, _Taken] = {}
+    for number in range(run.frames + 1):
+        for (method, tolerance_dn), renderer in renderers.items():
+            started = time.process_time()
+            shot = renderer.shot(setting.time_s, setting.gain, number)
+            if method == CAMCTL:
+                plan = renderer.plan(shot)
+            elif number == 0:
+                plan = plan_frame(shot, 0.0, left_out=FIXED[method])
+            else:
+                plan = found[method, tolerance_dn].plan
+            frame = renderer.expose(shot, plan)
+            spent = time.process_time() - started
+            if number == 0:
+                found[method, tolerance_dn] = _Taken([], math.inf, plan)
+                continue
+            taken = found[method, tolerance_dn]
+            taken.frames.append(frame)
+            taken.seconds, taken.plan = min(taken.seconds, spent), plan
+    return found
 
 
 @dataclass(frozen=True)
@@ -184,6 +229,36 @@ class SimulationStudy:
             for run, points in zip(self.runs, self.points, strict=True)
             for point in points
         ]
+
+    @property
+    def methods(self) -> list[str]:
+        """The methods that have points, camctl first."""
+        return list(dict.fromkeys(point.method for points in self.points for point in points))
+
+    def in_words(self) -> list[str]:
+        """Return what fidelity costs, a sentence for each method: medians over the runs."""
+        complete = [
+            next(point.milliseconds for point in points if point.method == COMPLETE)
+            for points in self.points
+        ]
+        found: dict[_Choice, list[tuple[float, SimulationPoint]]] = {}
+        for points, whole in zip(self.points, complete, strict=True):
+            for point in points:
+                share = point.milliseconds / whole
+                found.setdefault((point.method, point.tolerance_dn), []).append((share, point))
+        sentences = []
+        for (method, tolerance_dn), rows in found.items():
+            if method == COMPLETE or tolerance_dn not in (None, *IN_WORDS_DN):
+                continue
+            name = method if tolerance_dn is None else f"camctl, {tolerance_dn:g} DN"
+            largest = max(point.largest_dn for _, point in rows)
+            mean = median(point.mean_dn for _, point in rows)
+            sentences.append(
+                f"{name}: a frame takes {100 * median(s for s, _ in rows):.0f} % of the time with "
+                f"every effect, and samples differ by {mean:.2g} levels on average and {largest} "
+                "at most."
+            )
+        return sentences
 
 
 def simulation_runs(

@@ -30,6 +30,9 @@ GRID = "grid"
 SCIPY_METHODS = ("differential-evolution", "dual-annealing")
 METHODS = (CAMCTL, *SCIPY_METHODS, GRID)
 
+ENOUGH = 0.005
+"""Regret in xi from which a set counts as found: no method is ranked by less."""
+
 POPULATION = 10
 """Population of differential evolution, in multiples of the number of free exposures."""
 
@@ -310,6 +313,23 @@ class SolverStudy:
             next((spent for spent, reached in curve if reached <= regret), math.inf)
             for curve in self.curves(case, method)
         )
+
+    def in_words(self) -> list[str]:
+        """Return a sentence for each method: in how many problems it was near the best, and when.
+
+        The time is the median over the problems in which it was.
+        """
+        sentences = []
+        for method in dict.fromkeys(run.method for run in self.runs):
+            cases = [case for case in self.cases if self._of(case, method)]
+            times = [self.time_to(case, method, ENOUGH) for case in cases]
+            reached = [time_s for time_s in times if math.isfinite(time_s)]
+            after = f", after {median(reached):.2g} s" if reached else ""
+            sentences.append(
+                f"{method}: within {100 * ENOUGH:g} % of the best in {len(reached)} of "
+                f"{len(cases)} problems{after}."
+            )
+        return sentences
 
     def rows(self) -> list[dict[str, Any]]:
         """Return a row for each point: its run, which can be run again, and what was found."""

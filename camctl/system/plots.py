@@ -11,6 +11,7 @@ from camctl.errors import CamctlError, StorageError, UsageError
 from camctl.system.files import check_new
 
 if TYPE_CHECKING:
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 SUFFIXES = (".svg", ".png")
@@ -76,6 +77,19 @@ def spread_out(heights: list[float], gap: float) -> list[float]:
     for index in reversed(order):  # down again from the top
         found[index] = last = min(found[index], last - gap)
     return [round(height, 9) for height in found]
+
+
+def plain_ticks(axis: Axis) -> None:
+    """Write the numbers of a logarithmic axis in full, as 0.2, 1, 20, for what it shows now."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
+
+    least, most = axis.get_view_interval()
+    # The numbers of more than three decades have no space for 2 and 5.
+    subs = (1.0, 2.0, 5.0) if most < 1000 * least else (1.0,)
+    ticks = LogLocator(subs=subs).tick_values(least, most)
+    axis.set_major_locator(FixedLocator([tick for tick in ticks if least <= tick <= most]))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
 
 
 def require_matplotlib() -> None:

@@ -79,8 +79,9 @@ def simulation(context: click.Context, frames: Frames, study: StudyOptions, as_j
     """Compare frames with effects left out with complete ones: difference against CPU time.
 
     A tolerance allows the simulated sensor to leave out effects that together change no sample by
-    more than that before the ADC. Differences are counted after the ADC, from the frame of the same
-    random numbers with every effect.
+    more than that before the ADC. Other methods leave out the same effects in every frame: the
+    optics, or all but noise and the quantiser. Differences are counted after the ADC, from the
+    frame of the same random numbers with every effect.
     """
     study.check(context, set(vars(frames)))
     from camctl.studies.parallel import run_all
@@ -120,8 +121,10 @@ def _to_text(study: SimulationStudy) -> str:
             rows.append(
                 (
                     name,
-                    format_number(point.tolerance_dn),
-                    format_number(point.bound_dn, 3),
+                    point.method
+                    if point.tolerance_dn is None
+                    else f"{format_number(point.tolerance_dn)} DN",
+                    "-" if point.bound_dn is None else format_number(point.bound_dn, 3),
                     str(point.largest_dn),
                     format_number(point.mean_dn, 2),
                     format_number(point.shift_dn, 2),
@@ -132,7 +135,7 @@ def _to_text(study: SimulationStudy) -> str:
             name = ""
     headings = (
         "scene",
-        "tolerance, DN",
+        "tolerance or method",
         "bound, DN",
         "largest",
         "mean",
@@ -142,6 +145,8 @@ def _to_text(study: SimulationStudy) -> str:
     )
     return (
         format_table(headings, rows, right_aligned=range(1, len(headings)))
+        + "\n\n"
+        + "\n".join(study.in_words())
         + "\n\nlargest, mean: difference of a sample from the frame with every effect, in levels "
         "after the ADC;\nshift: difference of the means of the whole frames. The bound holds "
         "before the ADC.\nThe JSON rows (--json) name the effects that ran and those that did not."

@@ -149,6 +149,8 @@ def solver(
 
 def _to_text(study: SolverStudy) -> str:
     """Return a table: median regret after some CPU times, and the time to a regret of 0.5 %."""
+    from camctl.studies.solver_study import ENOUGH
+
     longest = max(run.limit_s for run in study.runs)
     times = [time_s for time_s in TIMES_S if time_s <= longest] or [longest]
     rows = []
@@ -157,7 +159,7 @@ def _to_text(study: SolverStudy) -> str:
         name = f"{response}, {range_text(dynamic_range)}, n = {n}"
         for method in dict.fromkeys(run.method for run in study.runs if run.case == case):
             regrets = [study.regret_at(case, method, time_s) for time_s in times]
-            reached = study.time_to(case, method, 0.005)
+            reached = study.time_to(case, method, ENOUGH)
             rows.append(
                 (
                     name,
@@ -176,7 +178,8 @@ def _to_text(study: SolverStudy) -> str:
     table = format_table(headings, rows, right_aligned=range(2, len(headings)))
     seeds = len({run.seed for run in study.runs})
     return (
-        f"{table}\n\nRegret: xi above the best that any run found; median of {seeds} "
+        f"{table}\n\n" + "\n".join(study.in_words()) + "\n\n"
+        f"Regret: xi above the best that any run found; median of {seeds} "
         f"run{'s' if seeds > 1 else ''}; CPU time of one core. A '-' means that no answer was "
         "there yet.\nAll methods use the same objective code; scipy's optimisers begin again where "
         "they end early."
