@@ -24,7 +24,7 @@ MAKERS = {
     "panasonic": ("panasonic",),
     "pentax": ("pentax", "ricoh"),
 }
-OUTPUT = Path(__file__).parents[1] / "sim" / "devices" / "bodies"
+OUTPUT = Path(__file__).parents[1] / "camctl" / "sim" / "devices" / "bodies"
 
 # The properties that matter for an exposure.
 _STANDARD = (0x5001, 0x5007, 0x500D, 0x500E, 0x500F, 0x5013)

@@ -190,7 +190,7 @@ def test_the_commands_of_a_page_work(page: str, tmp_path: Path) -> None:
     for name, columns in _FILES.items():
         np.savetxt(tmp_path / name, np.column_stack(columns))
     for name, source in (("my-street", "scenes/night-street"), ("my-sensor", "sensors/complete")):
-        (tmp_path / f"{name}.json").write_bytes((ROOT / "sim" / f"{source}.json").read_bytes())
+        (tmp_path / f"{name}.json").write_bytes((ROOT / f"camctl/sim/{source}.json").read_bytes())
     for name, exposure in (("a", 0.25), ("b", 1.0), ("c", 4.0)):
         light = np.geomspace(0.003, 1, 64 * 48).reshape(48, 64) * exposure
         cv2.imwrite(str(tmp_path / f"{name}.png"), np.minimum(256 * light**0.45, 255).astype("u1"))

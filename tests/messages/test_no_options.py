@@ -14,9 +14,10 @@ from camctl.cli import cli
 
 ROOT = Path(__file__).parents[2]
 FRONT_ENDS = ("camctl/cli", "camctl/messages")
-PACKAGES = ("camctl", "drivers", "menu", "sim")
+#: The last three are links in a clone, which a search below camctl does not follow.
+PACKAGES = ("camctl", "camctl/drivers", "camctl/menu", "camctl/sim")
 #: Programs of their own, with options that are not camctl's.
-PROGRAMS = ("sim/devices/hub.py",)
+PROGRAMS = ("camctl/sim/devices/hub.py",)
 
 
 def commands(group: click.Group, context: click.Context) -> Iterator[tuple[str, click.Command]]:
