@@ -75,6 +75,11 @@ if TYPE_CHECKING:
     from camctl.interface.controls import Layout as Layout
     from camctl.interface.controls import ResponseOrigin as ResponseOrigin
     from camctl.interface.controls import Steps as Steps
+    from camctl.interface.cycle import CyclingCamera as CyclingCamera
+    from camctl.interface.cycle import FrameCycle as FrameCycle
+    from camctl.livestream.result import LiveResult as LiveResult
+    from camctl.livestream.stream import Live as Live
+    from camctl.livestream.stream import live as live
     from camctl.model.noise import FrameNoise as FrameNoise
     from camctl.model.noise import NoiseModel as NoiseModel
     from camctl.model.response.camera import CameraResponse as CameraResponse
@@ -117,6 +122,9 @@ _NAMES = {
     "captures.sequencer": "capture resume",
     "interface.clock": "CaptureTiming Clock RealClock VirtualClock",
     "interface.controls": "Choices ExposureControls ExposureSetting Layout ResponseOrigin Steps",
+    "interface.cycle": "CyclingCamera FrameCycle",
+    "livestream.result": "LiveResult",
+    "livestream.stream": "Live live",
     "errors": (
         "CamctlError CameraBusyError CameraDisconnectedError CameraError CameraNotFoundError "
         "CameraProtocolError CameraTimeoutError CaptureError DataError InterruptedCaptureError "

@@ -125,6 +125,26 @@ class _Weights:
         )
 
 
+def light_of_sums(frames: FrameSet, sensor: SensorModel) -> FloatArray:
+    """Return the light of each sum of the frames without noise, (n white + 1,).
+
+    These are the levels of all frames, merged.
+    """
+    exposures = np.array(frames.exposures)
+    dark = np.array([each.dark_levels * sensor.level for each in frames.noise])
+    edges = (frames.response.levels - dark[:, np.newaxis]) / exposures[:, np.newaxis]
+    edges = np.concatenate(([0.0], np.sort(edges, axis=None), [np.inf]))
+    first = np.maximum((edges[1:] + edges[:-1]) / 2, 0.0)
+    places = np.arange(exposures.size * sensor.white + 1) - exposures.size * sensor.black
+    first = np.minimum(first, sensor.full / exposures.min())
+    return np.asarray(first[np.maximum(places, 0)])
+
+
+def deviation_of_sums(frames: FrameSet, sensor: SensorModel, E: FloatArray) -> FloatArray:
+    """Return the standard deviation of the light that the sum of the frames shows, at E, (B,)."""
+    return _Weights.at(frames, sensor, E).of_sum
+
+
 class LightTables:
     """What estimates the light of samples, tabulated by their values and by a first estimate.
 
@@ -180,13 +200,7 @@ class LightTables:
             if StepScores.fits(frames, sensor, lights):
                 self._scores = StepScores(frames, sensor, lights)
         self._pattern = found.pattern.astype(np.float32)
-        # The light of each sum without noise: the levels of all frames, merged.
-        edges = (frames.response.levels - dark[:, np.newaxis]) / exposures[:, np.newaxis]
-        edges = np.concatenate(([0.0], np.sort(edges, axis=None), [np.inf]))
-        first = np.maximum((edges[1:] + edges[:-1]) / 2, 0.0)
-        places = np.arange(len(exposures) * sensor.white + 1) - len(exposures) * sensor.black
-        first = np.minimum(first, self._brightest)[np.maximum(places, 0)]
-        self._first = self.bins(first.astype(np.float32))
+        self._first = self.bins(light_of_sums(frames, sensor).astype(np.float32))
 
     def _bin_number(self, light: np.float32) -> int:
         return int(np.float32(light).view(np.uint32)) >> _DROPPED

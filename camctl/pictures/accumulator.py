@@ -9,6 +9,7 @@ clipping each frame at black would bias the dark.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,9 @@ from numpy.typing import NDArray
 from camctl.errors import CaptureError, UsageError
 from camctl.interface.camera import Pixels
 
-#: Samples of a tile: its work arrays stay in the cache, and numpy's call overhead is small.
-_TILE = 1 << 20
+#: Samples of a tile: its work arrays stay in the cache, and numpy's call overhead is small; of 2^13
+#: to 2^20 the fastest in `tests/bench/bench_live.py`.
+_TILE = 1 << 16
 
 
 class Accumulator:
@@ -50,30 +52,42 @@ class Accumulator:
         Raises:
             CaptureError: the frame's shape or type differs from the others
         """
-        self._each_tile(pixels, np.add)
+        self._each_tile((pixels, np.add))
 
     def withdraw(self, pixels: Pixels) -> None:
         """Subtract a frame that was added before, exactly."""
-        self._each_tile(pixels, np.subtract)
+        self._each_tile((pixels, np.subtract))
 
-    def _each_tile(self, pixels: Pixels, operation: Callable[..., object]) -> None:
+    def exchange(self, old: Pixels, new: Pixels) -> None:
+        """Subtract a frame that was added before, and add one in its place, in one pass."""
+        self._each_tile((new, np.add), (old, np.subtract))
+
+    def _each_tile(self, *steps: tuple[Pixels, Callable[..., object]]) -> None:
+        sources = [self._samples(pixels) for pixels, _ in steps]
+        total = self.total.reshape(-1)
+        for start in range(0, total.size, _TILE):
+            here = total[start : start + _TILE]
+            for source, (_, operation) in zip(sources, steps, strict=True):
+                tile = source[start : start + _TILE]
+                if self._clips:
+                    narrow = self._narrow[: tile.size]
+                    tile = np.minimum(tile, self._ceiling[: tile.size], out=narrow)
+                if tile.dtype != total.dtype:
+                    # One widening copy and a same-type sum are faster than a sum of mixed types.
+                    wide = self._wide[: tile.size]
+                    np.copyto(wide, tile)
+                    tile = wide
+                operation(here, tile, out=here)
+
+    def _samples(self, pixels: Pixels) -> NDArray[Any]:
+        """Return the samples of a frame, (S,)."""
         if pixels.shape != self.total.shape or pixels.dtype != self._dtype:
             raise CaptureError(
                 f"a frame of {pixels.shape} {pixels.dtype} came after frames of "
                 f"{self.total.shape} {self._dtype}",
                 hint="keep the camera's format fixed during a capture",
             )
-        source, total = np.ascontiguousarray(pixels).reshape(-1), self.total.reshape(-1)
-        for start in range(0, total.size, _TILE):
-            tile, here = source[start : start + _TILE], total[start : start + _TILE]
-            if self._clips:
-                tile = np.minimum(tile, self._ceiling[: tile.size], out=self._narrow[: tile.size])
-            if tile.dtype != total.dtype:
-                # One widening copy and a same-type sum are faster than a sum of mixed types.
-                wide = self._wide[: tile.size]
-                np.copyto(wide, tile)
-                tile = wide
-            operation(here, tile, out=here)
+        return np.ascontiguousarray(pixels).reshape(-1)
 
 
 def sum_dtype(count: int, white: int) -> np.dtype[np.unsignedinteger]:

@@ -1,0 +1,116 @@
+"""The exposures of a live camera: chosen within the time that a result may take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from camctl.captures.metering import meter_light
+from camctl.captures.plan import plan_for
+from camctl.errors import UsageError
+from camctl.evidence.noise import fit_noise
+from camctl.evidence.patches import sample_patches
+from camctl.exposure.goal import DEFAULT_COUNT, XI, CaptureRequest
+from camctl.exposure.light import Light
+from camctl.exposure.search.best import Search
+from camctl.exposure.search.settings import at_most
+from camctl.interface.camera import Camera, Frame
+from camctl.interface.controls import Choices, Control, ExposureControls, Steps
+from camctl.model.noise import NoiseModel
+from camctl.records.capture_plan import CapturePlan
+
+DEFAULT_FPS = 10.0
+"""Results a second where nobody says how many: with fewer, pictures are no longer seen as movement
+(Card, Moran and Newell, The Psychology of Human-Computer Interaction, 1983: 0.1 s)."""
+
+#: Cameras send some frames fewer than they announce: NTSC rates are 0.1 % lower.
+_RATE_TOLERANCE = 0.02
+
+
+class LivePlanner:
+    """Chooses the exposures of a cycle.
+
+    Args:
+        camera: an open camera
+        request: what the user asks for
+        fps: results a second at least; None: `DEFAULT_FPS`, or as many as the camera has
+
+    Attributes:
+        request: with the number of exposures
+        controls: of the camera, with times that leave enough results a second
+
+    Raises:
+        UsageError: the camera sends fewer frames, or no camera meets the request
+    """
+
+    def __init__(self, camera: Camera, request: CaptureRequest, fps: float | None) -> None:
+        controls = camera.controls
+        interval_s = controls.frame_interval_s
+        if fps is None:
+            fps = min(DEFAULT_FPS, 1 / interval_s if interval_s else DEFAULT_FPS)
+        elif not 0 < fps < 1e6:
+            raise UsageError(f"invalid rate {fps:g}: expected results a second, such as 10")
+        elif interval_s * fps > 1 + _RATE_TOLERANCE:
+            raise UsageError(
+                f"{fps:g} results a second need as many frames, and the camera sends "
+                f"{1 / interval_s:.3g}",
+                hint="ask for fewer results, or set a higher frame rate of the camera",
+            )
+        self.fps = fps
+        self.controls = replace(controls, time_s=_up_to(controls.time_s, 1 / fps))
+        by_light = request.accuracy is None and request.time_budget_s is None
+        if request.count is None and by_light:
+            request = replace(request, count=DEFAULT_COUNT)
+        if request.objective is None and by_light:
+            # The search by accuracy takes seconds, in which the light changes.
+            request = replace(request, objective=XI)
+        self.request = request
+        self._search = Search(self.controls, request, None, None)
+        self._camera = camera
+
+    def first(self) -> CapturePlan:
+        """Return a plan by metering frames; raises as `plan_capture` does."""
+        light = meter_light(self._camera, self._search.request)
+        return self._checked(plan_for(self.controls, self._search, light))
+
+    def again(self, light: Light) -> CapturePlan:
+        """Return a plan for the light that the stream shows; raises as `plan_capture` does."""
+        if self.request.base_s is not None:
+            return self._checked(plan_for(self.controls, self._search, None))
+        limited = light.limited(self._search.request, self.controls)
+        return self._checked(plan_for(self.controls, self._search, limited))
+
+    def _checked(self, plan: CapturePlan) -> CapturePlan:
+        longest = max(setting.time_s for setting in plan.settings)
+        if longest * self.fps > 1 + _RATE_TOLERANCE:
+            raise UsageError(
+                f"an exposure of {longest:.3g} s leaves fewer than {self.fps:g} results a second",
+                hint="ask for fewer results, or for shorter exposures",
+            )
+        return plan
+
+
+def _up_to(times: Control, longest_s: float) -> Control:
+    """Return the shutter times up to a limit, or the shortest alone."""
+    longest = at_most(times, longest_s)
+    if isinstance(times, Choices):
+        return Choices(tuple(each for each in times.values if each <= longest))
+    return Steps(times.minimum, longest, times.step)
+
+
+def measured_noise(controls: ExposureControls, frames: Sequence[Frame]) -> NoiseModel | None:
+    """Return the noise that the frames of a window show; None where they do not show it."""
+    planes = [controls.layout.planes(frame.pixels) for frame in frames]
+    patches = [sample_patches(each, controls.white) for each in planes]
+    exposures = [controls.exposure(frame.applied) for frame in frames]
+    shortest = min(exposures)
+    gains = [frame.applied.gain for frame in frames]
+    relative = [each / shortest for each in exposures]
+    fit = fit_noise(controls.levels, patches, relative, gains, controls.black)
+    if fit is None:
+        return None
+    inverse, square = fit.noise.tolist()
+    electrons = 1 / inverse if inverse > 0 else None
+    conversion = electrons or 1.0
+    read = (max(square, 0.0) + fit.compression_levels**2) ** 0.5
+    return NoiseModel(conversion, ((1.0, read * conversion),), photon_noise=electrons is not None)

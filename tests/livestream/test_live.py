@@ -1,0 +1,273 @@
+"""The live effective camera: light, masks and exposures of its results, and what may go wrong."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import islice
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from small_cameras import gradient
+
+import camctl
+from camctl.errors import CameraDisconnectedError, UsageError
+from camctl.exposure.goal import CaptureRequest
+from camctl.interface.controls import ExposureSetting
+from camctl.livestream.result import LiveResult
+from camctl.livestream.stream import Live
+from camctl.sim.camera import Faults, SimulatedCamera
+from camctl.sim.scenes.scene import Scene
+from camctl.sim.sensors.sensor import load_sensor
+
+#: Exposures that need no metering, and so follow no light.
+GIVEN = CaptureRequest(base_s=0.004, ratios=(1, 4, 16), response="log", dynamic_range=256)
+SHAPE = 60, 80
+
+
+@contextmanager
+def camera(
+    light: NDArray[np.float32] | None = None, *, sensor: str = "standard", **faults: object
+) -> Iterator[SimulatedCamera]:
+    scene = Scene("test", gradient(*SHAPE) if light is None else light, photons_per_unit=2e7)
+    with SimulatedCamera(scene, load_sensor(sensor), faults=Faults(**faults)) as opened:  # type: ignore[arg-type]
+        yield opened
+
+
+def results(live: Live, count: int) -> list[LiveResult]:
+    return list(islice(live, count))
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    ["standard", "webcam", "phone", pytest.param("machine-vision", marks=pytest.mark.slow)],
+)
+def test_each_frame_completes_a_result_of_the_right_light(sensor: str) -> None:
+    colours = 3 if sensor in ("webcam", "phone") else 1
+    truth = gradient(*SHAPE, low=0.02)
+    light = truth if colours == 1 else np.repeat(truth[..., None], 3, axis=2)
+    with camera(light, sensor=sensor) as opened:
+        request = CaptureRequest(count=3)
+        with camctl.live(opened, request) as live:
+            before = opened.device.upcoming
+            some = results(live, 12)
+            taken = opened.device.upcoming - before
+    assert [each.number for each in some] == list(range(12))
+    assert taken <= 12 + 3 + opened.controls.delay_frames + 1 if opened.controls.delay_frames else 0
+    assert live.lost == 0
+    last = some[-1]
+    assert {each.setting for each in last.exposures} == set(last.plan.settings)
+    assert not any(each.is_old for each in last.exposures)
+    wanted = light if last.irradiance.ndim == 3 else truth
+    within = (last.mask & 3) == 0
+    assert within.mean() > 0.9
+    errors = (last.irradiance - wanted)[within] / last.sd[within]
+    assert abs(errors.mean()) < 0.5
+    assert 0.8 < errors.std() < 1.3
+    assert ((last.mask & 4) > 0).mean() < 0.004  # nothing moves
+    assert last.image.dtype == np.uint16
+    assert np.corrcoef(last.image.ravel(), np.log(last.irradiance.ravel()))[0, 1] > 0.98
+
+
+def test_results_of_an_exchange_have_the_light_of_the_mixed_exposures() -> None:
+    truth = gradient(*SHAPE, low=0.02)
+    with camera(truth, dropped_frames=[14]) as opened, camctl.live(opened, GIVEN) as live:
+        results(live, 5)
+        live.change(CaptureRequest(base_s=0.002, ratios=(1, 3, 9, 27), dynamic_range=256))
+        some = results(live, 14)
+        live.change(CaptureRequest(base_s=0.008, ratios=(1, 8), dynamic_range=256))
+        some += results(live, 14)
+    assert [each.number for each in some] == list(range(5, 33))
+    counts = [len(each.exposures) for each in some]
+    assert sorted(set(counts)) == [2, 3, 4]
+    assert counts == [*sorted(counts[:14]), *sorted(counts[14:], reverse=True)]
+    plans = {tuple(each.plan for each in one.exposures) for one in some}
+    assert any(len(set(each)) == 2 for each in plans)
+    for each in some:
+        within = (each.mask & 3) == 0
+        errors = (each.irradiance - truth)[within] / each.sd[within]
+        assert abs(errors.mean()) < 1
+        assert errors.std() < 1.5
+
+
+def test_a_lost_frame_leaves_the_older_one_and_is_marked() -> None:
+    with camera(dropped_frames=[9]) as opened, camctl.live(opened, GIVEN) as live:
+        some = results(live, 20)
+    marked = [each for each in some if any(slot.is_old for slot in each.exposures)]
+    assert marked
+    assert live.lost == 1
+    assert not any(slot.is_old for slot in some[-1].exposures)
+    assert max(each.age_s for each in marked) > max(
+        each.age_s for each in some if each not in marked
+    )
+
+
+def test_a_moving_thing_is_marked_and_its_lag_stated() -> None:
+    dim = np.full(SHAPE, 0.003, np.float32)
+    bright = dim.copy()
+    bright[20:30, 20:30] = 0.009
+    with camera(dim) as opened, camera(bright) as other, camctl.live(opened, GIVEN) as live:
+        results(live, 3)
+        opened._renderer = other._renderer
+        during, *_, after = results(live, 6)
+    inside = np.zeros(SHAPE, np.bool_)
+    inside[20:30, 20:30] = True
+    moved = (during.mask & 4) > 0
+    assert moved[inside].mean() > 0.95
+    assert moved[~inside].mean() < 0.01
+    assert during.age_s == pytest.approx(max(slot.age_s for slot in during.exposures))
+    assert during.age_s > 0.05
+    assert ((after.mask & 4) > 0).mean() < 0.005
+
+
+def test_exposures_follow_the_light_and_stay_when_it_stays() -> None:
+    truth = gradient(*SHAPE, low=0.05)
+    with camera(truth) as opened, camera(truth * 8) as brighter:
+        before = opened._renderer
+        with camctl.live(opened, CaptureRequest(count=3)) as live:
+            first = results(live, 40)[-1]
+            assert live.plan == first.plan  # nothing was exchanged
+            opened._renderer = brighter._renderer
+            bright = results(live, 100)[-1]
+            opened._renderer = before
+            last = results(live, 60)[-1]
+    bases = [each.plan.settings[0].time_s for each in (first, bright, last)]
+    assert 5 < bases[0] / bases[1] < 12
+    assert 0.7 < bases[2] / bases[0] < 1.4
+    assert (bright.mask & 2).mean() < 0.01
+    assert np.median(bright.irradiance / truth) == pytest.approx(8, rel=0.02)
+
+
+def test_light_out_of_reach_is_a_finding() -> None:
+    dim, bright = (np.full(SHAPE, light, np.float32) for light in (0.1, 1e6))
+    with camera(dim) as opened, camera(bright) as brighter, camctl.live(opened) as live:
+        results(live, 3)
+        opened._renderer = brighter._renderer
+        last = results(live, 80)[-1]
+    assert "light_above_range" in {finding.code for finding in last.findings}
+
+
+def test_a_wrong_control_delay_is_settled() -> None:
+    with camera(late_frames=1) as opened, camctl.live(opened, GIVEN) as live:
+        some = results(live, 60)
+    assert "delay_settled" in {finding.code for finding in some[-1].findings}
+    last = some[-1]
+    errors = (last.irradiance - gradient(*SHAPE)) / last.sd
+    assert np.abs(np.median(errors)) < 0.5
+
+
+def test_the_stream_goes_on_after_the_camera_was_unplugged() -> None:
+    with camera(unplug_after=12) as opened, camctl.live(opened, GIVEN) as live:
+        some = results(live, 30)
+    assert [each.number for each in some] == list(range(30))
+    gaps = np.diff([each.time_s for each in some])
+    assert (gaps > 0).all()
+
+
+def test_a_camera_that_stays_away_is_an_error() -> None:
+    with camera(unplug_after=6) as opened:
+
+        def stays_away() -> None:
+            raise CameraDisconnectedError("it is gone", hint="plug it in")
+
+        live = camctl.live(opened, GIVEN, patience_s=3)
+        opened._open = stays_away  # type: ignore[method-assign]
+        with live, pytest.raises(CameraDisconnectedError):
+            results(live, 30)
+
+
+def test_noise_that_is_unknown_is_measured_in_the_stream() -> None:
+    scene = Scene("test", gradient(240, 320, low=0.02), photons_per_unit=2e7)
+    opened = SimulatedCamera(scene, load_sensor("standard"), is_unknown=True)
+    with opened, camctl.live(opened, GIVEN) as live:
+        some = results(live, 30)
+    assert np.isnan(some[0].sd).all()
+    assert not np.isnan(some[-1].sd).any()
+
+
+def test_arrays_are_reused_on_request() -> None:
+    with camera() as opened:
+        with camctl.live(opened, GIVEN, reuse=True) as live:
+            first, second = (next(live).irradiance for _ in range(2))
+        assert first is second
+        with camctl.live(opened, GIVEN) as live:
+            first, second = (next(live).irradiance for _ in range(2))
+        assert not np.shares_memory(first, second)
+        assert len(list(opened.shoot([ExposureSetting(0.004)]))) == 1  # it is free again
+
+
+def test_invalid_requests_are_refused_before_the_first_frame() -> None:
+    with camera() as opened:
+        with pytest.raises(UsageError):
+            camctl.live(opened, GIVEN, fps=500)
+        with pytest.raises(UsageError):
+            camctl.live(opened, GIVEN, fps=0)
+        with pytest.raises(UsageError):
+            camctl.live(opened, GIVEN, policy="some")  # type: ignore[arg-type]
+        long = CaptureRequest(base_s=0.5, ratios=(1,), dynamic_range=16)
+        with pytest.raises(camctl.CamctlError), camctl.live(opened, long, fps=10) as live:
+            next(live)
+
+        class Still:
+            info, controls, clock = opened.info, opened.controls, opened.clock
+
+        with pytest.raises(UsageError):
+            camctl.live(Still())  # type: ignore[arg-type]
+
+
+def real_time(fps: float = 30) -> camctl.Camera:
+    return camctl.open_camera("sim", scene="uniform", size="64x48", time="real", sensor="standard")
+
+
+def test_a_slow_consumer_gets_the_latest_result_or_all() -> None:
+    with real_time() as opened:
+        with camctl.live(opened, GIVEN) as live:
+            first = next(live)
+            threading.Event().wait(0.5)
+            assert next(live).number > first.number + 5
+        with camctl.live(opened, GIVEN, policy="all") as live:
+            first = next(live)
+            threading.Event().wait(0.5)
+            assert next(live).number == first.number + 1
+            assert live.lost > 0
+
+
+def test_another_thread_ends_the_stream() -> None:
+    with real_time() as opened:
+        live = camctl.live(opened, GIVEN)
+        found: list[int] = []
+        begun = threading.Event()
+
+        def consume() -> None:
+            for result in live:
+                found.append(result.number)
+                begun.set()
+
+        consumer = threading.Thread(target=consume)
+        consumer.start()
+        assert begun.wait(10)
+        live.change(CaptureRequest(base_s=0.002, ratios=(1, 5), dynamic_range=64))
+        threading.Event().wait(0.6)
+        live.close()
+        consumer.join(10)
+        assert not consumer.is_alive()
+        assert live.plan is not None
+        assert len(live.plan.settings) == 2
+        live.close()
+        assert next(iter(live), None) is None
+
+
+def test_the_stream_is_an_async_iterator() -> None:
+    async def consume() -> list[int]:
+        found = []
+        with real_time() as opened, camctl.live(opened, GIVEN, policy="all") as live:
+            async for result in live:
+                found.append(result.number)
+                if len(found) == 5:
+                    break
+        return found
+
+    assert asyncio.run(consume()) == [0, 1, 2, 3, 4]
