@@ -1,4 +1,4 @@
-"""The picture files of a capture: sum.tiff, image.tiff, radiance.exr, preview.png, contact.png."""
+"""The picture files of a capture, such as radiance.exr and preview.png."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from camctl.errors import DataError, OutOfMemoryError, UsageError
 from camctl.pictures.contact_sheet import contact_sheet
 from camctl.pictures.details import PictureDetails
+from camctl.pictures.gain_map import picture_with_gain_map
 from camctl.pictures.icc import icc_profile
 from camctl.pictures.metadata import (
     EXR_PLACEHOLDER,
@@ -25,7 +26,7 @@ from camctl.pictures.metadata import (
     png_with_metadata,
     tiff_tags,
 )
-from camctl.pictures.preview import tone_map
+from camctl.pictures.preview import renditions
 from camctl.pictures.preview_light import PREVIEW_SIDE, LightReducer
 from camctl.pictures.render import Rendering, Strip, as_halves
 from camctl.system.files import atomic_file, storage_error, write_bytes
@@ -40,15 +41,16 @@ from camctl.system.threads import THREADS, in_threads
 _LARGE = 4_000_000
 
 SUM, IMAGE, RADIANCE = "sum.tiff", "image.tiff", "radiance.exr"
-PREVIEW, CONTACT = "preview.png", "contact.png"
+PREVIEW, PICTURE, CONTACT = "preview.png", "picture.jpg", "contact.png"
 PICTURE_FILES = {
     "sum": SUM,
     "image": IMAGE,
     "radiance": RADIANCE,
     "preview": PREVIEW,
+    "picture": PICTURE,
     "contact": CONTACT,
 }
-"""Names of the picture files by kind."""
+"""Names of all picture files by kind, see `picture_files`."""
 
 #: Bytes of a preview at most: three for each pixel, and what a PNG file adds where noise makes it
 #: impossible to compress.
@@ -62,13 +64,19 @@ _LIBRARIES = ("OpenEXR", "tifffile")
 _SHOOT_AGAIN = "shoot the capture again"
 
 
+def picture_files() -> dict[str, str]:
+    """Return the names of the files that `write_picture_files` writes, by kind."""
+    without = () if opencv() is not None else ("picture",)
+    return {kind: name for kind, name in PICTURE_FILES.items() if kind not in without}
+
+
 def write_picture_files(
     total: NDArray[np.unsignedinteger],
     rendering: Rendering,
     details: PictureDetails,
     directory: Path,
 ) -> None:
-    """Write all five files from one pass over the sum.
+    """Write all files of `picture_files` from one pass over the sum.
 
     Raises:
         StorageError: one of them could not be written; a file is complete or missing
@@ -93,8 +101,10 @@ def write_picture_files(
             summed.result()  # raises its error before the errors of the others
         return_free_memory()
         light = reducer.light()
-        mapped = threads.submit(tone_map, light)  # while the disk takes the files
-    preview = mapped.result()
+        mapped = threads.submit(renditions, light)  # while the disk takes the files
+    preview, cv2 = mapped.result().codes, opencv()
+    if cv2 is not None:
+        write_bytes(directory / PICTURE, picture_with_gain_map(mapped.result(), details, cv2))
     write_bytes(directory / PREVIEW, png_with_metadata(png(preview), details))
     sheet = contact_sheet(light, preview, details, rendering.movement)
     write_bytes(directory / CONTACT, png_with_metadata(png(sheet), details))

@@ -33,6 +33,10 @@ _MAKE, _MODEL, _SERIAL = 271, 272, 50735
 _EXPOSURE_TIME, _F_NUMBER, _RATIONAL = 33434, 33437, 5
 #: The same of the ISO speed, an integer of 16 bits.
 _ISO_SPEED, _SHORT, _LARGEST_SHORT = 34855, 3, 65535
+#: Numbers of EXIF tags: software, date, the directory of EXIF, date when taken, colour space with
+#: its values.
+_SOFTWARE, _DATE_TIME, _EXIF_IFD = 305, 306, 34665
+_ORIGINAL_DATE, _COLOUR_SPACE, _SRGB, _UNCALIBRATED = 36867, 40961, 1, 65535
 #: Largest of these integers: they have 32 bits.
 _LARGEST_INTEGER = 10**9
 #: Rendering intent of a PNG file in sRGB: perceptual.
@@ -116,6 +120,54 @@ def tiff_tags(details: PictureDetails) -> dict[str, Any]:
     if details.taken_at is not None:
         tags["datetime"] = f"{details.taken_at:%Y:%m:%d %H:%M:%S}"
     return tags
+
+
+def exif_block(details: PictureDetails) -> bytes:
+    """Return EXIF data (2.32) of a JPEG file, from the header of their TIFF structure on."""
+    camera = details.camera
+    taken = "" if details.taken_at is None else f"{details.taken_at:%Y:%m:%d %H:%M:%S}"
+    iso = round(details.iso or 0)
+    top: dict[int, bytes | int] = {
+        _MAKE: _ascii(camera.make).encode(),
+        _MODEL: _ascii(camera.model).encode(),
+        _SOFTWARE: _ascii(details.software).encode(),
+        _DATE_TIME: taken.encode(),
+        _EXIF_IFD: 0,
+    }
+    below: dict[int, bytes | int | tuple[int, int]] = {
+        _EXPOSURE_TIME: _ratio(details.total_time_s),
+        _ISO_SPEED: iso if iso <= _LARGEST_SHORT else 0,
+        _ORIGINAL_DATE: taken.encode(),
+        _COLOUR_SPACE: _SRGB if details.colour is not None else _UNCALIBRATED,
+    }
+    if details.f_number is not None:
+        below[_F_NUMBER] = _ratio(details.f_number)
+    kept = {tag: value for tag, value in top.items() if value or tag == _EXIF_IFD}
+    start = 8 + len(_directory(kept, 8))
+    kept[_EXIF_IFD] = start
+    exif = {tag: value for tag, value in below.items() if value}
+    return b"MM\0*" + struct.pack(">I", 8) + _directory(kept, 8) + _directory(exif, start)
+
+
+def _directory(tags: Mapping[int, bytes | int | tuple[int, int]], at: int) -> bytes:
+    """Return a directory of TIFF at this place of a file, with what its entries hold after it."""
+    entries, rest = b"", b""
+    after = at + 2 + 12 * len(tags) + 4
+    for tag, value in sorted(tags.items()):
+        if isinstance(value, int):
+            kind = (4, ">I") if tag == _EXIF_IFD else (_SHORT, ">Hxx")
+            entries += struct.pack(">HHI", tag, kind[0], 1) + struct.pack(kind[1], value)
+            continue
+        ratio = isinstance(value, tuple)
+        data = struct.pack(">II", *value) if isinstance(value, tuple) else value + b"\0"
+        count = 1 if ratio else len(data)
+        entries += struct.pack(">HHI", tag, _RATIONAL if ratio else 2, count)
+        if len(data) <= 4:
+            entries += data.ljust(4, b"\0")
+        else:
+            entries += struct.pack(">I", after + len(rest))
+            rest += data + bytes(len(data) % 2)
+    return struct.pack(">H", len(tags)) + entries + bytes(4) + rest
 
 
 def png_with_metadata(png: bytes, details: PictureDetails) -> bytes:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -66,24 +67,46 @@ _LEAST_VARIANCE = np.float32(1e-9)
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 
+@dataclass(frozen=True, eq=False)
+class Renditions:
+    """A picture for displays of usual range, and for those of a larger one.
+
+    Attributes:
+        codes: sRGB, uint8, (rows, columns) or (rows, columns, 3)
+        light: linear, in the scale of the codes' darker half, 1 = their white; float32, (rows,
+            columns, 1 or 3)
+    """
+
+    codes: NDArray[np.uint8]
+    light: NDArray[np.float32]
+
+
 def tone_map(light: Light) -> NDArray[np.uint8]:
     """Return the preview in sRGB, (rows, columns) or (rows, columns, 3)."""
+    return renditions(light).codes
+
+
+def renditions(light: Light) -> Renditions:
+    """Return the preview, and the light that it shows, without noise."""
     largest, colours, pixel_noise, unlit = _cleaned(light)
     exposure, white, power = _exposure(largest, colours, pixel_noise, light)
     surround = _surround(largest)
     around = box_means(pixel_noise, 2) if colours.shape[2] > 1 else pixel_noise
     darkest = np.float32(_UNLIT if (light.unlit < ALL).any() else 0.0)
     codes: NDArray[np.uint8] = np.empty(colours.shape, np.uint8)
+    linear = np.empty(colours.shape, np.float32)
 
     def encode(rows: slice) -> None:
         # The operator, x (1 + S / white^2) / (1 + S) for light x in the surround S.
         shown, near = np.exp2(largest[rows] + exposure), np.exp2(surround[rows] + exposure)
+        dimmed = 1 + (darkest - 1) * np.square(unlit[rows])
+        bright = shown * dimmed
         shown *= (1 + near / white**2) / (1 + near)
         np.minimum(shown, 1, out=shown)
         if power < 1:
             lifted = np.float32(_LIFTED)
             shown = np.where(shown < lifted, lifted * (shown / lifted) ** power, shown)
-        shown *= 1 + (darkest - 1) * np.square(unlit[rows])
+        shown *= dimmed
         # A pixel of which one channel is saturated keeps the colour of its neighbours that are not.
         full = light.white[rows] / np.float32(ALL)
         shown += full * (1 - shown)
@@ -93,9 +116,10 @@ def tone_map(light: Light) -> NDArray[np.uint8]:
             known = (1 - full) * (1 - np.sqrt(unlit[rows])) / (1 + np.square(around[rows]))
             colour = 1 + (colour - 1) * known[..., np.newaxis]
         codes[rows] = srgb_codes(colour * shown[..., np.newaxis])
+        np.multiply(colour, bright[..., np.newaxis], out=linear[rows])
 
     _in_bands(encode, len(codes), _ROWS)
-    return codes[..., 0] if codes.shape[-1] == 1 else codes
+    return Renditions(codes[..., 0] if codes.shape[-1] == 1 else codes, linear)
 
 
 def srgb_codes(light: NDArray[Any]) -> NDArray[np.uint8]:

@@ -28,10 +28,10 @@ from camctl.interface.camera import Frame, Pixels
 from camctl.pictures.details import PictureDetails
 from camctl.pictures.files import (
     IMAGE,
-    PICTURE_FILES,
     RADIANCE,
     SUM,
     load_libraries,
+    picture_files,
     read_deviation,
     read_mask,
     read_radiance,
@@ -231,12 +231,12 @@ class FolderStore:
     ) -> dict[str, str]:
         """Write the picture files; the report names them first."""
         assert self.report is not None  # it was saved before the first frame
-        self.report.files = dict(PICTURE_FILES)
+        self.report.files = picture_files()
         self.save_report(self.report)
         with self._folder.storage_errors():
             self._folder.sync()  # nobody recovers the files of a complete capture
         write_picture_files(total, rendering, details, self.directory)
-        return dict(PICTURE_FILES)
+        return picture_files()
 
     def after_failure(self, done: int, count: int) -> AfterFailure:
         """Say how many frames are kept, and how to continue."""

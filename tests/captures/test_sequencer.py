@@ -48,6 +48,7 @@ RESULTS = {
     "image.tiff",
     "radiance.exr",
     "preview.png",
+    "picture.jpg",
     "contact.png",
 }
 

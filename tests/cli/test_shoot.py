@@ -26,6 +26,7 @@ RESULT = {
     "image.tiff",
     "radiance.exr",
     "preview.png",
+    "picture.jpg",
     "contact.png",
     "report.json",
     "frames",

@@ -97,8 +97,12 @@ def exiftool(*files: Path) -> list[dict[str, Any]]:
 
 
 def test_exiftool_reads_every_file(folder: Path, layout: Layout) -> None:
-    names = ["radiance.exr", "image.tiff", "sum.tiff", "preview.png", "contact.png"]
-    exr, image, total, preview, contact = exiftool(*(folder / name for name in names))
+    names = ["radiance.exr", "image.tiff", "sum.tiff", "preview.png", "contact.png", "picture.jpg"]
+    exr, image, total, preview, contact, picture = exiftool(*(folder / name for name in names))
+    assert (picture["Make"], picture["Model"]) == ("B?nch", "Camera 1")
+    assert picture["DateTimeOriginal"] == "2026:05:17 21:04:09"
+    assert picture["NumberOfImages"] == 2
+    assert picture["MPImageLength"] == picture["DirectoryItemLength"]
     assert exr["CameraMake"] == "Bénch"
     assert exr["CameraSerialNumber"] == "S/N 7"
     assert exr["ExposureTime"] == pytest.approx(1.25)
