@@ -19,7 +19,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     as_completed,
 )
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from importlib import import_module
 from multiprocessing import resource_tracker
 from typing import Any, TypeVar
@@ -180,5 +180,10 @@ def cluster_executor(address: str) -> Iterator[Executor]:
             f"the Dask cluster {address} ({SCHEDULER}) cannot be reached: {error}",
             hint="start it, or unset the variable",
         ) from error
-    with client:
+    try:
         yield client.get_executor(pure=False)
+    except BaseException:
+        with suppress(Exception):  # without its scheduler it fails in ways of its own
+            client.close()
+        raise
+    client.close()
