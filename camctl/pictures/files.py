@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from camctl.errors import DataError, OutOfMemoryError, UsageError
 from camctl.pictures.contact_sheet import contact_sheet
 from camctl.pictures.details import PictureDetails
+from camctl.pictures.dng import dng_tags, has_raw
 from camctl.pictures.gain_map import picture_with_gain_map
 from camctl.pictures.icc import icc_profile
 from camctl.pictures.metadata import (
@@ -41,6 +42,7 @@ from camctl.system.threads import THREADS, in_threads
 _LARGE = 4_000_000
 
 SUM, IMAGE, RADIANCE = "sum.tiff", "image.tiff", "radiance.exr"
+DNG = "picture.dng"
 PREVIEW, PICTURE, CONTACT = "preview.png", "picture.jpg", "contact.png"
 PICTURE_FILES = {
     "sum": SUM,
@@ -49,6 +51,7 @@ PICTURE_FILES = {
     "preview": PREVIEW,
     "picture": PICTURE,
     "contact": CONTACT,
+    "raw": DNG,
 }
 """Names of all picture files by kind, see `picture_files`."""
 
@@ -64,9 +67,11 @@ _LIBRARIES = ("OpenEXR", "tifffile")
 _SHOOT_AGAIN = "shoot the capture again"
 
 
-def picture_files() -> dict[str, str]:
+def picture_files(rendering: Rendering) -> dict[str, str]:
     """Return the names of the files that `write_picture_files` writes, by kind."""
-    without = () if opencv() is not None else ("picture",)
+    without = set() if opencv() is not None else {"picture"}
+    if not has_raw(rendering):
+        without.add("raw")
     return {kind: name for kind, name in PICTURE_FILES.items() if kind not in without}
 
 
@@ -84,6 +89,7 @@ def write_picture_files(
     tags, radiance = tiff_tags(details), directory / RADIANCE
     height, width = total.shape[:2]
     reducer = LightReducer(height, width, rendering.full)
+    raw = np.empty(total.shape, np.float16) if has_raw(rendering) else None
     with (
         ThreadPoolExecutor(2) as threads,
         atomic_file(radiance) as radiance_part,
@@ -94,7 +100,7 @@ def write_picture_files(
             with _radiance_file(
                 radiance_part, radiance, (width, height), rendering, details
             ) as exr:
-                codes = _written(total, rendering, exr, reducer, threads)
+                codes = _written(total, rendering, exr, reducer, threads, raw)
                 profile = _profile(rendering)
                 _write_image(image_part, codes, total, rendering, tags | {"iccprofile": profile})
         finally:
@@ -102,6 +108,8 @@ def write_picture_files(
         return_free_memory()
         light = reducer.light()
         mapped = threads.submit(renditions, light)  # while the disk takes the files
+    if raw is not None:
+        _write_raw(directory / DNG, raw, rendering, details)
     preview, cv2 = mapped.result().codes, opencv()
     if cv2 is not None:
         write_bytes(directory / PICTURE, picture_with_gain_map(mapped.result(), details, cv2))
@@ -116,8 +124,10 @@ def _written(
     exr: _RadianceFile,
     reducer: LightReducer,
     threads: ThreadPoolExecutor,
+    raw: NDArray[np.float16] | None,
 ) -> Iterator[NDArray[np.uint16]]:
-    """Yield the strips of image.tiff; each of them is in `exr` and in `reducer` then."""
+    """Yield the strips of image.tiff; each of them is in `exr`, `reducer` and `raw` then."""
+    row = 0
 
     def prepared(render: Callable[[], Strip]) -> tuple[Strip, dict[str, NDArray[Any]]]:
         strip = render()
@@ -126,6 +136,9 @@ def _written(
     for strip, channels in in_threads(prepared, rendering.strips(total)):
         reduced = threads.submit(reducer.add, strip)
         exr.write(channels)
+        if raw is not None and strip.mosaic is not None:
+            raw[row : row + len(strip.mosaic)] = strip.mosaic / np.float32(rendering.full)
+            row += len(strip.mosaic)
         yield strip.code
         reduced.result()
 
@@ -148,6 +161,15 @@ def _write_image(
         photometric="minisblack" if rendering.channels == "Y" else "rgb",
         **tags,
     )
+
+
+def _write_raw(path: Path, samples: Any, rendering: Rendering, details: PictureDetails) -> None:
+    import tifffile
+
+    assert rendering.colour is not None  # there are samples
+    tags = dng_tags(details, rendering.colour, rendering.full, rendering.layout)
+    with atomic_file(path) as part:
+        tifffile.imwrite(part, samples, **tags)
 
 
 def _profile(rendering: Rendering) -> bytes | None:

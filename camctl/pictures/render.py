@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -203,6 +203,7 @@ class Strip:
         deviation: standard deviation of each channel, float32
         mask: of each channel, uint8
         code: of the image, (rows, columns) or (rows, columns, 3) uint16
+        mosaic: the irradiance before it was interpolated, float32; None: there is no mosaic
     """
 
     irradiance: _Planes
@@ -210,6 +211,7 @@ class Strip:
     deviation: _Planes
     mask: tuple[NDArray[np.uint8], ...]
     code: NDArray[np.uint16]
+    mosaic: NDArray[np.float32] | None = None
 
 
 @dataclass(frozen=True)
@@ -309,7 +311,8 @@ class Rendering:
         if self.layout.is_mosaic:
             inner = slice(rows.start - first, rows.stop - first)
             found = estimate, bare, deviation
-            return self._mosaic_strip(sums, shown, found, marks, first, inner)
+            strip = self._mosaic_strip(sums, shown, found, marks, first, inner)
+            return replace(strip, mosaic=bare[inner])
         mask = self._look_up("mask", channels_apart(sums))
         for more in marks:
             mask = tuple(map(np.bitwise_or, mask, channels_apart(more)))

@@ -231,12 +231,12 @@ class FolderStore:
     ) -> dict[str, str]:
         """Write the picture files; the report names them first."""
         assert self.report is not None  # it was saved before the first frame
-        self.report.files = picture_files()
+        self.report.files = picture_files(rendering)
         self.save_report(self.report)
         with self._folder.storage_errors():
             self._folder.sync()  # nobody recovers the files of a complete capture
         write_picture_files(total, rendering, details, self.directory)
-        return picture_files()
+        return picture_files(rendering)
 
     def after_failure(self, done: int, count: int) -> AfterFailure:
         """Say how many frames are kept, and how to continue."""

@@ -46,7 +46,7 @@ def test_files_and_memory_hold_the_same_arrays(layout: Layout, tmp_path: Path) -
     folder, memory = FolderStore(tmp_path), MemoryStore()
     write_picture_files(total, how, details(), tmp_path)
     assert memory.keep_pictures(total, how, details()) == {}
-    assert {path.name for path in tmp_path.iterdir()} == set(picture_files().values())
+    assert {path.name for path in tmp_path.iterdir()} == set(picture_files(how).values())
     shape = (37, 22) if layout is Layout.MONO else (37, 22, 3)
     for name, dtype in {"image": np.uint16, "radiance": np.float32, "mask": np.uint8}.items():
         from_file, from_memory = folder.picture(name), memory.picture(name)

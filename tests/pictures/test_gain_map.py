@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -33,17 +34,23 @@ def written(of: Renditions) -> bytes:
     return picture_with_gain_map(of, details(), cv2)
 
 
+def decoded(data: bytes) -> NDArray[Any]:
+    found = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert found is not None
+    return np.asarray(found)
+
+
 def errors(found: NDArray[np.floating], of: Renditions) -> NDArray[np.floating]:
     light = np.broadcast_to(of.light, found.shape)
     inside = (light > _LEAST) & (light < 2**MOST_STOPS)
     assert inside.mean() > 0.9
-    return np.abs(found[inside] / light[inside] - 1)
+    return np.asarray(np.abs(found[inside] / light[inside] - 1))
 
 
 @pytest.mark.parametrize("grey", [False, True])
 def test_a_jpeg_decoder_shows_the_preview(grey: bool) -> None:
     of = shown(grey)
-    found = cv2.imdecode(np.frombuffer(written(of), np.uint8), cv2.IMREAD_UNCHANGED)
+    found = decoded(written(of))
     picture = found[..., 0] if grey else cv2.cvtColor(found, cv2.COLOR_BGR2RGB)
     assert picture.shape == of.codes.shape
     assert np.abs(picture.astype(int) - of.codes).mean() < 2
@@ -110,4 +117,4 @@ def test_light_beyond_what_displays_have_is_cut_to_it() -> None:
 
 def test_a_black_picture_has_a_gain_map_too() -> None:
     black = Renditions(np.zeros((16, 16, 3), np.uint8), np.zeros((16, 16, 3), np.float32))
-    assert cv2.imdecode(np.frombuffer(written(black), np.uint8), cv2.IMREAD_COLOR).max() == 0
+    assert decoded(written(black)).max() == 0
