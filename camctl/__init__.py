@@ -80,6 +80,7 @@ if TYPE_CHECKING:
     from camctl.livestream.result import LiveResult as LiveResult
     from camctl.livestream.stream import Live as Live
     from camctl.livestream.stream import live as live
+    from camctl.livestream.video_capture import VideoCapture as VideoCapture
     from camctl.model.noise import FrameNoise as FrameNoise
     from camctl.model.noise import NoiseModel as NoiseModel
     from camctl.model.response.camera import CameraResponse as CameraResponse
@@ -125,6 +126,7 @@ _NAMES = {
     "interface.cycle": "CyclingCamera FrameCycle",
     "livestream.result": "LiveResult",
     "livestream.stream": "Live live",
+    "livestream.video_capture": "VideoCapture",
     "errors": (
         "CamctlError CameraBusyError CameraDisconnectedError CameraError CameraNotFoundError "
         "CameraProtocolError CameraTimeoutError CaptureError DataError InterruptedCaptureError "

@@ -32,6 +32,7 @@ COMMANDS = (
     "shoot",
     "series",
     "preview",
+    "live",
     "resume",
     "merge",
     "menu",

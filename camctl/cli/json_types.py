@@ -212,6 +212,23 @@ class Previewed(TypedDict):
     responses: list[PreviewedResponse]
 
 
+class Streamed(TypedDict):
+    """A stream that has ended: `camctl live`."""
+
+    __pydantic_config__ = _CLOSED  # type: ignore[misc]
+
+    format_version: Version
+    results: int
+    seconds: float
+    results_per_second: float
+    lost: int
+    latency_s: float | None
+    age_s: float | None
+    exposures_s: list[float]
+    dynamic_range: float | None
+    findings: list[Finding]
+
+
 class Effect(TypedDict):
     """One effect of the simulated sensor; a bound without limit is null."""
 
@@ -301,6 +318,7 @@ TYPES: Final[dict[str, Any]] = {
     "error": Failure,
     "evaluate": Evaluated,
     "figures": list[Figure],
+    "live": Streamed,
     "preview": Previewed,
     "profile import": Named,
     "profile list": list[Profile],

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from camctl.captures.metering import meter_light
 from camctl.captures.plan import plan_for
-from camctl.errors import UsageError
+from camctl.errors import CaptureError, UsageError
 from camctl.evidence.noise import fit_noise
 from camctl.evidence.patches import sample_patches
 from camctl.exposure.goal import DEFAULT_COUNT, XI, CaptureRequest
@@ -70,17 +70,23 @@ class LivePlanner:
 
     def first(self) -> CapturePlan:
         """Return a plan by metering frames; raises as `plan_capture` does."""
-        light = meter_light(self._camera, self._search.request)
-        return self._checked(plan_for(self.controls, self._search, light))
+        return self._plan(meter_light(self._camera, self._search.request))
 
     def again(self, light: Light) -> CapturePlan:
         """Return a plan for the light that the stream shows; raises as `plan_capture` does."""
         if self.request.base_s is not None:
-            return self._checked(plan_for(self.controls, self._search, None))
-        limited = light.limited(self._search.request, self.controls)
-        return self._checked(plan_for(self.controls, self._search, limited))
+            return self._plan(None)
+        return self._plan(light.limited(self._search.request, self.controls))
 
-    def _checked(self, plan: CapturePlan) -> CapturePlan:
+    def _plan(self, light: Light | None) -> CapturePlan:
+        try:
+            plan = plan_for(self.controls, self._search, light)
+        except CaptureError as error:
+            raise CaptureError(
+                f"{error.what}, with {self.fps:g} results a second",
+                hint=error.hint,
+                remedies=error.remedies,
+            ) from error
         longest = max(setting.time_s for setting in plan.settings)
         if longest * self.fps > 1 + _RATE_TOLERANCE:
             raise UsageError(

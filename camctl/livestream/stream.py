@@ -479,7 +479,7 @@ def live(
     if not isinstance(camera, CyclingCamera):
         raise UsageError(
             f"{camera.info.id} takes single pictures, and does not stream",
-            hint="use a webcam or a camera for machine vision; camctl shoot takes pictures",
+            hint="take pictures with it, or use a webcam or a camera for machine vision",
         )
     if policy not in ("latest", "all"):
         raise UsageError(f"invalid policy {policy!r}: expected latest or all")

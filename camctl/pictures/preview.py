@@ -36,7 +36,7 @@ _KEY = 0.22
 _DARKEST, _WHITE = 1.0, 99.5
 #: The darkest light has this brightness at least, 1 = white, or 4 of 255: what is below the second
 #: brightness, or 25 of 255, is lifted for it, the more the darker it is.
-_LEAST_SHOWN, _LIFTED = 0.0012, 0.01
+_LEAST_SHOWN, LIFTED = 0.0012, 0.01
 #: Radius of the surround, as a share of the longer side.
 _SURROUND = 1 / 40
 #: Variance of log2 of the light up to which the surround is smooth: half a stop, squared.
@@ -104,7 +104,7 @@ def renditions(light: Light) -> Renditions:
         shown *= (1 + near / white**2) / (1 + near)
         np.minimum(shown, 1, out=shown)
         if power < 1:
-            lifted = np.float32(_LIFTED)
+            lifted = np.float32(LIFTED)
             shown = np.where(shown < lifted, lifted * (shown / lifted) ** power, shown)
         shown *= dimmed
         # A pixel of which one channel is saturated keeps the colour of its neighbours that are not.
@@ -142,17 +142,26 @@ def _exposure(
     readable = (noise[some] < _READABLE) & (light.unlit[some] < ALL)
     if not readable.any():
         readable = np.ones_like(readable)
-    logs = (largest + np.log2(colours @ weights))[readable]
+    return exposure_of((largest + np.log2(colours @ weights))[readable], largest[readable])
+
+
+def exposure_of(logs: Floats, largest: Floats) -> tuple[np.float32, np.float32, np.float32]:
+    """Return log2 of the factor before the operator, its white, and the power of what is lifted.
+
+    Args:
+        logs: log2 of the light of some pixels
+        largest: of the largest of their channels
+    """
     low, high = np.percentile(logs, [_DARKEST, _WHITE]).tolist()
     mean = float(logs.mean())
     span = max(high - low, 1.0)
     key = _KEY * 4.0 ** np.clip((2 * mean - low - high) / span, -0.5, 0.5)
     exposure = np.float32(np.log2(key) - mean)
-    brightest = float(np.percentile(largest[readable], _WHITE))
+    brightest = float(np.percentile(largest, _WHITE))
     white = max(1.0, 2.0 ** (brightest + float(exposure)))
     # The operator leaves dark light as it is.
     darkest = min(2.0 ** (low + float(exposure)), _LEAST_SHOWN)
-    power = math.log(_LIFTED / _LEAST_SHOWN) / math.log(_LIFTED / darkest)
+    power = math.log(LIFTED / _LEAST_SHOWN) / math.log(LIFTED / darkest)
     return exposure, np.float32(white), np.float32(power)
 
 

@@ -30,6 +30,9 @@ class Kernel(Protocol):
     def wait(self, descriptor: int, timeout_s: float) -> bool:
         """Wait until there is a frame or an error; return False after `timeout_s` without one."""
 
+    def write(self, descriptor: int, data: NDArray[np.uint8]) -> None:
+        """Write the bytes of a picture."""
+
     def close(self, descriptor: int) -> None:
         """Close the descriptor."""
 
@@ -63,6 +66,9 @@ class Linux:
         poll = select.poll()
         poll.register(descriptor, select.POLLIN)
         return bool(poll.poll(timeout_s * 1000))
+
+    def write(self, descriptor: int, data: NDArray[np.uint8]) -> None:
+        os.write(descriptor, data.data)
 
     def close(self, descriptor: int) -> None:
         os.close(descriptor)

@@ -327,7 +327,7 @@ def test_error_with_json_is_an_object_and_one_line(
     [
         ("solve --json -n 0", "invalid value for --exposures: 0", WHOLE_TO_16),
         ("solve --json --phas x", "unknown option '--phas'", "did you mean --phase?"),
-        ("solv --json", "unknown command 'solv'", "did you mean solve?"),
+        ("solv --json", "unknown command 'solv'", "did you mean solve or live?"),
         ("evaluate --json", "option --ratios is missing", "see camctl evaluate --help"),
     ],
 )

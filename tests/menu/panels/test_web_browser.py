@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import base64
-import json
 import shutil
-import socket
-import subprocess
 import threading
 import time
-import urllib.request
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from browser import Call, browser
 from panel_fakes import FakeJob
 
 from camctl.menu.app import run
@@ -27,41 +23,13 @@ pytestmark = [
     ),
 ]
 PHONE = "--window-size=420,800"
-Call = Callable[..., Any]
 
 
 @pytest.fixture
-def call(tmp_path: Path) -> Iterator[Call]:
+def call() -> Iterator[Call]:
     """Return a function that sends a command to a browser of its own (W3C WebDriver)."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    driver = subprocess.Popen(["chromedriver", f"--port={port}"], stdout=subprocess.DEVNULL)
-
-    def send(method: str, path: str, **data: object) -> Any:
-        request = urllib.request.Request(
-            f"http://127.0.0.1:{port}{path}",
-            method=method,
-            data=json.dumps(data).encode() if method == "POST" else None,
-        )
-        with urllib.request.urlopen(request, timeout=120) as answer:
-            return json.load(answer)["value"]
-
-    try:
-        while True:
-            try:
-                send("GET", "/status")
-                break
-            except OSError:
-                time.sleep(0.1)
-        options = {"args": ["--headless=new", "--no-sandbox", "--disable-gpu", PHONE]}
-        wanted = {"alwaysMatch": {"goog:chromeOptions": options}}
-        session = send("POST", "/session", capabilities=wanted)["sessionId"]
-        yield lambda method, path, **data: send(method, f"/session/{session}/{path}", **data)
-        send("DELETE", f"/session/{session}")
-    finally:
-        driver.terminate()
-        driver.wait()
+    with browser(PHONE) as call:
+        yield call
 
 
 @pytest.fixture

@@ -1,0 +1,236 @@
+"""`camctl live`: the effective camera as a page, a webcam, a pipe or files."""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from camctl.cli import options
+from camctl.cli.commands import command
+from camctl.cli.options import CameraOptions, option
+from camctl.cli.output import (
+    format_duration,
+    format_fields,
+    format_number,
+    print_error,
+    print_finding,
+    print_json,
+    print_text,
+)
+from camctl.cli.parameter_types import Number, WholeNumber
+from camctl.cli.request_options import RequestOptions, request_options
+from camctl.errors import UsageError
+
+if TYPE_CHECKING:
+    from camctl.livestream.outputs import Output
+    from camctl.livestream.result import LiveResult
+    from camctl.livestream.stream import Live
+
+_REQUEST = (
+    "response",
+    "gamma",
+    "dynamic_range",
+    "clip_percent",
+    "count",
+    "accuracy",
+    "ratios",
+    "base_s",
+    "compensation_stops",
+)
+_OUTPUTS = "http[:[HOST:]PORT], v4l2:/dev/videoN, - (Y4M), raw:- (16 bits) or exr:FOLDER"
+#: Results whose latency is stated: of half a minute at 30 a second.
+_RATED = 900
+
+
+@command(
+    examples=(
+        ("camctl live --scene moving-target --output http", "the simulated camera in a page"),
+        ("camctl live --camera v4l2:/dev/video0 --fps 15 --output v4l2:/dev/video9", "as a webcam"),
+        ("camctl live --output - | ffmpeg -i - -t 10 live.mkv", "ten seconds as a video"),
+        ("camctl live --output exr:frames --every 30 --count 300", "each 30th result as a file"),
+    )
+)
+@options.camera_options
+@request_options(*_REQUEST, "settings", has_light=True)
+@option(
+    "--fps RATE",
+    "Results a second at least, which limits the exposures.  [default: 10, or as many as the "
+    "camera has]",
+    Number("a rate from 0.01 to 10000", least=0.01, most=10_000),
+)
+@option(
+    "--output OUTPUT",
+    f"Where the results go: {_OUTPUTS}; may be given several times.",
+    field="outputs",
+    kind=click.STRING,
+    multiple=True,
+    required=True,
+)
+@option("--look", "Map the light for looking, instead of showing the desired response.")
+@option("--every K", "Write each K-th result to exr:FOLDER.", WholeNumber(least=1), default=1)
+@option("--count N", "End after so many results.", WholeNumber(least=1), field="most")
+@options.as_json
+def live(
+    camera: CameraOptions,
+    request: RequestOptions,
+    fps: float | None,
+    outputs: tuple[str, ...],
+    look: bool,
+    every: int,
+    most: int | None,
+    as_json: bool,
+) -> None:
+    """Show the effective camera live: each frame completes a picture.
+
+    The camera repeats the exposures of a plan without a pause. The last frames of all exposures
+    make a result, one for each new frame, and exposures follow the light. A page (http) shows the
+    picture, a histogram and the exposures; other programs read it as a webcam (v4l2, with the
+    kernel module v4l2loopback), as MJPEG from /video of the page, from a pipe, or as OpenEXR files.
+    Ends with Ctrl-C.
+    """
+    from camctl.livestream.stream import live as begin
+
+    if request.table is not None:
+        raise UsageError("a live camera has no table of exposures", hint="leave --set table= out")
+    is_piped = any(each in ("-", "raw:-") for each in outputs)
+    if as_json and is_piped:
+        raise UsageError("--json cannot be combined with --output -", hint="leave one of them out")
+    wanted = request.request()
+    with ExitStack() as resources:
+        opened = resources.enter_context(_in_real_time(camera).open())
+        # Files are complete; who looks wants the newest.
+        policy: Any = "all" if any(each.startswith("exr:") for each in outputs) else "latest"
+        results = begin(opened, wanted, fps=fps, policy=policy, reuse=True)
+        makers = []
+        for each in outputs:
+            makers.append(_output(each, results, look=look, every=every))
+            resources.callback(makers[-1].close)
+        resources.enter_context(results)
+        assert results.plan is not None  # it has begun
+        for finding in results.plan.findings:
+            print_finding(finding)
+        run = _Run(results)
+        try:
+            for result in results:
+                for maker in makers:
+                    maker.write(result)
+                run.add(result)
+                if run.count == most:
+                    break
+        except BrokenPipeError:
+            pass  # the program that read has ended
+        if as_json:
+            print_json(run.json())
+        elif not is_piped:
+            print_text(run.text())
+
+
+def _in_real_time(camera: CameraOptions) -> CameraOptions:
+    """Return the options of the camera; the simulated one waits, as others do."""
+    from dataclasses import replace
+
+    named = camera.camera_options()
+    if camera.camera_id.partition(":")[0] != "sim" or "time" in named:
+        return camera
+    return replace(camera, camera_settings=(*camera.camera_settings, ("time", "real")))
+
+
+def _output(text: str, results: Live, *, look: bool, every: int) -> Output:
+    """Return what an option names; raises `UsageError` where it is unknown or cannot be opened."""
+    from camctl.livestream.display import Display
+    from camctl.livestream.outputs import ExrOutput, RawOutput, Y4mOutput
+
+    kind, _, rest = text.partition(":")
+    if kind == "http":
+        from camctl.livestream.web import PAGE_PIXELS, WebOutput
+        from camctl.system.web_server import DEFAULT_PORT
+
+        display = Display(look=look, most=PAGE_PIXELS)
+        web = WebOutput(results, rest or str(DEFAULT_PORT), display=display)
+        print_error(f"live at {web.site.shown_url}")
+        return web
+    if kind == "v4l2" and rest:
+        return _Loopback(rest, Display(look=look))
+    if text == "-":
+        return Y4mOutput(sys.stdout.buffer, Display(look=look), results.planner.fps)
+    if text == "raw:-":
+        return RawOutput(sys.stdout.buffer)
+    if kind == "exr" and rest:
+        return ExrOutput(Path(rest), every)
+    raise UsageError(f"unknown output {text!r}", hint=f"use {_OUTPUTS}")
+
+
+class _Loopback:
+    """A webcam for other programs; opened with the first result, which has the size."""
+
+    def __init__(self, path: str, display: Any) -> None:
+        self._path, self._display = path, display
+        self._device: Any = None
+
+    def write(self, result: LiveResult) -> None:
+        """Show a result."""
+        from camctl.drivers.v4l2.loopback import LoopbackDevice
+        from camctl.livestream.outputs import ycbcr
+
+        picture = self._display.picture(result)
+        if picture.ndim == 3:
+            picture = ycbcr(picture)
+        if self._device is None:
+            self._device = LoopbackDevice(self._path, picture.shape[:2])
+        self._device.write(picture)
+
+    def close(self) -> None:
+        """Close the device."""
+        if self._device is not None:
+            self._device.close()
+
+
+class _Run:
+    """What is stated of a stream at its end."""
+
+    def __init__(self, results: Live) -> None:
+        self._results = results
+        self.count = 0
+        self._began = time.perf_counter()
+        self._latencies: list[float] = []
+        self._last: LiveResult | None = None
+
+    def add(self, result: LiveResult) -> None:
+        """Count a result."""
+        self.count += 1
+        self._last = result
+        self._latencies = [*self._latencies[1 - _RATED :], result.latency_s]
+
+    def json(self) -> dict[str, Any]:
+        """Return it for --json."""
+        last, seconds = self._last, time.perf_counter() - self._began
+        latencies = sorted(self._latencies)
+        return {
+            "results": self.count,
+            "seconds": seconds,
+            "results_per_second": self.count / seconds,
+            "lost": self._results.lost,
+            "latency_s": latencies[len(latencies) // 2] if latencies else None,
+            "age_s": None if last is None else last.age_s,
+            "exposures_s": [] if last is None else [each.setting.time_s for each in last.exposures],
+            "dynamic_range": None if last is None else last.plan.dynamic_range,
+            "findings": () if last is None else last.findings,
+        }
+
+    def text(self) -> str:
+        """Return it for people."""
+        found = self.json()
+        latency, age = found["latency_s"], found["age_s"]
+        fields = [
+            ("results", f"{self.count}, {format_number(found['results_per_second'], 3)} a second"),
+            ("exposures", ", ".join(map(format_duration, found["exposures_s"]))),
+            ("latency", "" if latency is None else format_duration(latency)),
+            ("lag", "" if age is None else f"up to {format_duration(age)} where things move"),
+            ("frames lost", str(found["lost"])),
+        ]
+        return format_fields(fields)

@@ -1,0 +1,134 @@
+"""`camctl.VideoCapture`: the effective camera for programs that are written for OpenCV's class."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.errors import CamctlError, UsageError
+from camctl.exposure.goal import CaptureRequest
+from camctl.interface.controls import Layout
+from camctl.livestream.display import Display, rgb_of_cells
+from camctl.livestream.result import LiveResult
+from camctl.livestream.stream import Live, live
+from camctl.profiles.calibrated import open_camera
+
+#: Numbers of OpenCV's properties (videoio.hpp): CAP_PROP_POS_MSEC, FRAME_WIDTH, FRAME_HEIGHT, FPS,
+#: POS_FRAMES, FORMAT and CONVERT_RGB.
+_POS_MSEC, _WIDTH, _HEIGHT, _FPS, _POS_FRAMES, _FORMAT, _CONVERT_RGB = 0, 3, 4, 5, 1, 8, 16
+
+
+class VideoCapture:
+    """Pictures in the desired response, with the methods of ``cv2.VideoCapture``.
+
+    `read` gives BGR, or one channel of a camera without colours, as OpenCV does.  Where OpenCV
+    returns False this class does, too; `error` says why.
+
+    Args:
+        camera_id: see `camctl.open_camera`
+        request: what the pictures are to be
+        fps: results a second at least
+        bits: of a sample, 8 or 16
+        look: tone-mapped for looking, 8 bits, instead of the desired response
+        options: of the camera
+
+    Attributes:
+        error: why the camera was not opened, or the last `read` failed; None: it did not
+        result: of the last `grab` or `read`, with irradiance, standard deviation and mask
+
+    >>> capture = VideoCapture("sim", options={"size": "64x48"})
+    >>> ok, picture = capture.read()
+    >>> ok, picture.shape, picture.dtype
+    (True, (48, 64), dtype('uint8'))
+    >>> capture.release()
+    """
+
+    def __init__(
+        self,
+        camera_id: str = "sim",
+        request: CaptureRequest | None = None,
+        *,
+        fps: float | None = None,
+        bits: int = 8,
+        look: bool = False,
+        options: Mapping[str, Any] | None = None,
+    ) -> None:
+        if bits not in (8, 16) or (look and bits != 8):
+            raise UsageError(f"invalid bit depth {bits}: expected 8, or 16 without look")
+        self._bits, self._display = bits, Display(look=look)
+        self.error: CamctlError | None = None
+        self.result: LiveResult | None = None
+        self._resources = ExitStack()
+        self._live: Live | None = None
+        self._fps = fps
+        try:
+            camera = self._resources.enter_context(open_camera(camera_id, options))
+            self._live = self._resources.enter_context(live(camera, request, fps=fps, reuse=True))
+            self._shape = camera.controls.shape
+        except CamctlError as error:
+            self.error = error
+            self.release()
+
+    def isOpened(self) -> bool:  # noqa: N802
+        """Return whether the camera is open."""
+        return self._live is not None
+
+    def grab(self) -> bool:
+        """Wait for the next result; return whether there is one."""
+        if self._live is None:
+            return False
+        try:
+            self.result = next(self._live)
+        except CamctlError as error:
+            self.error = error
+            return False
+        return True
+
+    def retrieve(self) -> tuple[bool, NDArray[Any] | None]:
+        """Return the picture of the result that was grabbed last."""
+        result = self.result
+        if result is None:
+            return False, None
+        if self._bits == 8:
+            picture: NDArray[Any] = self._display.picture(result)
+        elif result.layout.is_mosaic:
+            picture = rgb_of_cells(result.image, result.layout)
+        else:
+            picture = result.image
+        if picture.ndim == 3:
+            picture = picture[..., ::-1]
+        return True, np.array(picture)
+
+    def read(self) -> tuple[bool, NDArray[Any] | None]:
+        """Wait for the next result and return its picture; (False, None) at the end."""
+        return self.retrieve() if self.grab() else (False, None)
+
+    def get(self, property_id: int) -> float:
+        """Return a property by OpenCV's number; 0 where it is not known."""
+        live, result = self._live, self.result
+        if live is None:
+            return 0.0
+        half = 2 if live.controls.layout.is_mosaic else 1
+        values = {
+            _WIDTH: self._shape[1] // half,
+            _HEIGHT: self._shape[0] // half,
+            _FPS: live.planner.fps,
+            _POS_MSEC: 0.0 if result is None else 1000 * result.time_s,
+            _POS_FRAMES: 0 if result is None else result.number,
+            _FORMAT: (0 if self._bits == 8 else 2) + 8 * 2 * (live.controls.layout != Layout.MONO),
+            _CONVERT_RGB: 1,
+        }
+        return float(values.get(property_id, 0.0))
+
+    def set(self, property_id: int, value: float) -> bool:
+        """Return whether a property has this value: size, rate and format are set when opening."""
+        return self._live is not None and self.get(property_id) == value
+
+    def release(self) -> None:
+        """Close the camera; a second call does nothing."""
+        self._live = None
+        self._resources.close()

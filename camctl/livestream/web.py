@@ -1,0 +1,196 @@
+"""The live picture in a page, and as MJPEG for programs that read that from a network.
+
+Without a token the server listens on the loopback interface only, as the panel of the menu does.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from collections import deque
+from http import HTTPStatus
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camctl.interface.controls import ExposureControls
+from camctl.livestream.display import Display
+from camctl.livestream.following import Look
+from camctl.livestream.result import LiveResult
+from camctl.livestream.stream import Live
+from camctl.messages.plain import sentence
+from camctl.system.picture_operations import required_opencv
+from camctl.system.web_server import DEFAULT_PORT, Site, SiteHandler
+
+TOKEN_VARIABLE = "CAMCTL_LIVE_TOKEN"
+
+_PAGE = Path(__file__).with_name("live.html").read_bytes()
+_BOUNDARY = "camctl"
+#: Longest side of the picture, pixels: a page shows no more of it.
+PAGE_PIXELS = 1280
+#: Quality of its JPEG files, 1 to 100.
+_QUALITY = 85
+#: How long a reader waits for the next picture before it sends the last one again, s.
+_SILENCE_S = 5.0
+#: The histogram goes from so many stops below the saturation of the shortest exposure to one above.
+_STOPS_BELOW, _BINS_PER_STOP = 16, 4
+#: Results whose rate is stated.
+_RATED = 30
+
+
+class WebOutput:
+    """A server of the page, the stream and the numbers of a live camera.
+
+    Args:
+        live: the stream whose results are written
+        address: ``PORT`` or ``HOST:PORT``
+        display: makes the pictures
+        token: what a browser must know; None: the token in the environment
+
+    Raises:
+        UsageError: an address that cannot be used, or no OpenCV
+    """
+
+    def __init__(
+        self,
+        live: Live,
+        address: str = str(DEFAULT_PORT),
+        *,
+        display: Display | None = None,
+        token: str | None = None,
+    ) -> None:
+        self._cv2 = required_opencv("a live picture in a page")
+        if token is None:
+            token = os.environ.get(TOKEN_VARIABLE, "")
+        self._live = live
+        self._display = display or Display(most=PAGE_PIXELS)
+        self._times: deque[float] = deque(maxlen=_RATED)
+        self.changed = threading.Condition()
+        self.version = 0
+        self.jpeg = b""
+        self.is_open = True
+        self._result: LiveResult | None = None
+        self._numbers: dict[str, Any] = {}
+        self.viewers = 0
+        self.site = Site(address, token, TOKEN_VARIABLE, "http", "the live page", _PAGE)
+        self.site.start(_Handler, output=self)
+
+    def write(self, result: LiveResult) -> None:
+        """Show a result; the picture is compressed only where somebody looks."""
+        self._times.append(result.time_s)
+        jpeg = b""
+        if self.viewers or not self.jpeg:
+            picture = self._display.picture(result)
+            if picture.ndim == 3:
+                picture = np.ascontiguousarray(picture[..., ::-1])
+            _, data = self._cv2.imencode(
+                ".jpg", picture, [self._cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
+            )
+            jpeg = bytes(data)
+        with self.changed:
+            self._numbers = self._state(result)
+            if jpeg:
+                self.version += 1
+                self.jpeg = jpeg
+                self.changed.notify_all()
+
+    def close(self) -> None:
+        """Stop serving."""
+        self.is_open = False
+        with self.changed:
+            self.changed.notify_all()
+        self.site.stop()
+
+    def state(self) -> dict[str, Any]:
+        """Return the numbers of the last result, for JSON."""
+        with self.changed:
+            return {**self._numbers, "waiting": self._live.is_waiting, "lost": self._live.lost}
+
+    def _state(self, result: LiveResult) -> dict[str, Any]:
+        controls = self._live.controls
+        seen = Look.at(result.sum, result.layout, result.tables)
+        edges = np.arange(-_STOPS_BELOW * _BINS_PER_STOP, _BINS_PER_STOP + 1) / _BINS_PER_STOP
+        stops = np.clip(np.log2(np.maximum(seen.irradiance, 1e-12)), edges[0], edges[-1])
+        counts, _ = np.histogram(stops, edges, weights=seen.shares)
+        span = self._times[-1] - self._times[0]
+        desired = result.plan.desired
+        return {
+            "number": result.number,
+            "results_per_second": (len(self._times) - 1) / span if span > 0 else None,
+            "age_s": result.age_s,
+            "latency_s": result.latency_s,
+            "response": result.plan.response,
+            "dynamic_range": result.plan.dynamic_range,
+            "first_stop": float(edges[0]),
+            "last_stop": float(edges[-1]),
+            "histogram": counts.tolist(),
+            "range_stops": [float(np.log2(max(desired.e_min, 2.0**-_STOPS_BELOW))), 0.0],
+            "dark": seen.dark,
+            "clipped": seen.clipped,
+            "exposures": _exposures(result, controls),
+            "findings": [sentence(each) for each in result.findings],
+        }
+
+
+def _exposures(result: LiveResult, controls: ExposureControls) -> list[dict[str, Any]]:
+    """Return the exposures of a cycle, and the light that each of them shows, in stops."""
+    base = min(controls.exposure(each) for each in result.plan.settings)
+    lowest = float(controls.levels.levels[0])
+    return [
+        {
+            "time_s": each.setting.time_s,
+            "gain": each.setting.gain,
+            "age_s": each.age_s,
+            "old": each.is_old,
+            "stops": np.log2([lowest * base / each.exposure, base / each.exposure]).tolist(),
+        }
+        for each in sorted(result.exposures, key=lambda each: each.exposure)
+    ]
+
+
+class _Handler(SiteHandler):
+    """Answers one request; `output` has what is shown."""
+
+    output: WebOutput
+
+    def do_GET(self) -> None:
+        """Answer the page, the stream, one picture, or the numbers."""
+        if not self.is_allowed():
+            return
+        match self.url.path:
+            case "/":
+                self.answer(_PAGE, "text/html; charset=utf-8")
+            case "/state":
+                self.answer(json.dumps(self.output.state()).encode(), "application/json")
+            case "/picture.jpg":
+                self.answer(self.output.jpeg, "image/jpeg")
+            case "/video":
+                self._stream()
+            case _:
+                self.refuse(HTTPStatus.NOT_FOUND, "there is no such page")
+
+    def _stream(self) -> None:
+        """Send pictures as they come until the reader is gone."""
+        output = self.output
+        self.close_connection = True
+        self.send_head(f"multipart/x-mixed-replace; boundary={_BOUNDARY}", None)
+        with output.changed:
+            output.viewers += 1
+        try:
+            sent = 0
+            while output.is_open:
+                with output.changed:
+                    output.changed.wait_for(
+                        lambda known=sent: output.version != known or not output.is_open,  # type: ignore[misc]
+                        _SILENCE_S,
+                    )
+                    sent, jpeg = output.version, output.jpeg
+                self.server.note_request(self.connection)
+                head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}"
+                self.wfile.write(f"{head}\r\n\r\n".encode() + jpeg + b"\r\n")
+                self.wfile.flush()
+        finally:
+            with output.changed:
+                output.viewers -= 1

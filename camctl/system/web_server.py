@@ -1,0 +1,276 @@
+"""A small server of HTTP: few connections, a token for all but this computer, safe headers."""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import re
+import socket
+import sys
+import threading
+import time
+from base64 import b64encode
+from contextlib import suppress
+from dataclasses import dataclass, field
+from hashlib import sha256
+from http import HTTPStatus
+from http.cookies import CookieError, SimpleCookie
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any, Self
+from urllib.parse import SplitResult, parse_qs, quote, unquote, urlsplit
+
+from camctl.errors import UsageError
+from camctl.system.interrupts import uninterrupted
+
+DEFAULT_PORT = 8080  # http-alt (IANA)
+
+_ADDRESS = re.compile(r"(?:(?P<host>[^:]+|\[[0-9a-fA-F:]+\]):)?(?P<port>\d{1,5})", re.ASCII)
+_COOKIE = "camctl_token"
+
+_GUESS_S = 0.5
+"""Wrong tokens are refused one at a time, after this time each, s: two guesses a second in all."""
+
+MOST_CONNECTIONS = 32
+"""A browser opens six connections at most; a new one ends the one that is silent for longest."""
+
+
+class LimitedServer(ThreadingHTTPServer):
+    """A thread for each connection, at most `MOST_CONNECTIONS`."""
+
+    daemon_threads = True
+    request_queue_size = MOST_CONNECTIONS
+
+    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
+        self._used: dict[Any, float] = {}  # socket: time of its last request
+        self._lock = threading.Lock()
+        super().__init__(address, handler)
+
+    def note_request(self, connection: Any) -> None:
+        """Count `connection` as the one used last."""
+        with self._lock:
+            if connection in self._used:
+                self._used[connection] = time.monotonic()
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Serve a new connection, instead of the one unused for longest where there are many."""
+        with self._lock:
+            if len(self._used) >= MOST_CONNECTIONS:
+                oldest = min(self._used, key=self._used.__getitem__)
+                del self._used[oldest]
+                with suppress(OSError):  # it has ended by itself
+                    oldest.shutdown(socket.SHUT_RDWR)
+            self._used[request] = time.monotonic()
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        with self._lock:
+            self._used.pop(request, None)
+        super().shutdown_request(request)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Ignore clients that have gone; everything else is a defect, and printed."""
+        if not isinstance(sys.exception(), OSError):
+            super().handle_error(request, client_address)
+
+
+@dataclass
+class Site:
+    """What a server serves, and who may see it.
+
+    Attributes:
+        address: ``PORT`` or ``HOST:PORT``
+        token: what a browser must know; "": only this computer may see it
+        variable: of the environment, in which the token is set
+        name: as the server is given: ``web`` in ``web:8080``
+        what: the server in messages
+        page: the page whose scripts and styles may run; others may not
+
+    Raises:
+        UsageError: an invalid address, or a host that others reach without a token
+    """
+
+    address: str
+    token: str
+    variable: str
+    name: str
+    what: str
+    page: bytes
+    host: str = field(init=False)
+    port: int = field(init=False)
+    headers: dict[str, str] = field(init=False)
+
+    def __post_init__(self) -> None:
+        found = _ADDRESS.fullmatch(self.address)
+        if found is None or int(found["port"]) > 65535:
+            raise UsageError(
+                f"invalid address {self.address!r} of {self.what}",
+                hint=f"use {self.name}:8080 or {self.name}:HOST:8080",
+            )
+        self.host, self.port = (found["host"] or "127.0.0.1").strip("[]"), int(found["port"])
+        if not self.token and not is_loopback(self.host):
+            raise UsageError(
+                f"{self.what} on {self.host} could be used by anybody",
+                hint=f"set a token in {self.variable}, or leave the host out",
+            )
+        self.headers = _headers(self.page)
+        self.guesses = threading.Lock()
+        self._server: LimitedServer | None = None
+
+    @property
+    def url(self) -> str:
+        """The address of the page."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        port = self.port if self._server is None else self._server.server_address[1]
+        return f"http://{host}:{port}/"
+
+    @property
+    def shown_url(self) -> str:
+        """The same, with a note that the token is needed."""
+        return f"{self.url}{'?token=...' if self.token else ''}"
+
+    def start(self, handler: type[SiteHandler], **attributes: Any) -> Self:
+        """Serve in a thread of its own.
+
+        Args:
+            handler: answers requests
+            attributes: of a handler
+
+        Raises:
+            UsageError: the address cannot be used
+        """
+        kind = type("Handler", (handler,), {"site": self, **attributes})
+        try:
+            self._server = LimitedServer((self.host, self.port), kind)
+        except OSError as error:
+            raise UsageError(
+                f"cannot listen on {self.host}:{self.port}: {error.strerror}",
+                hint=f"choose another port with {self.name}:PORT",
+            ) from error
+        threading.Thread(
+            target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True
+        ).start()
+        return self
+
+    @uninterrupted
+    def stop(self) -> None:
+        """Stop serving."""
+        server, self._server = self._server, None
+        if server is not None:
+            server.shutdown()
+            server.server_close()
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether a host is this computer."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _headers(page: bytes) -> dict[str, str]:
+    """Return what is sent with every answer: nothing is kept, framed or loaded from elsewhere."""
+
+    def hashes(element: bytes) -> str:
+        """Return the sources of a Content-Security-Policy that allow elements of the page."""
+        found = re.findall(rb"<%b>(.*?)</%b>" % (element, element), page, re.DOTALL)
+        return " ".join(f"'sha256-{b64encode(sha256(text).digest()).decode()}'" for text in found)
+
+    return {
+        "Cache-Control": "no-store",
+        "Content-Security-Policy": (
+            f"default-src 'none'; script-src {hashes(b'script')}; style-src {hashes(b'style')}; "
+            "img-src data: 'self'; connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; "
+            "form-action 'none'"
+        ),
+        "Referrer-Policy": "no-referrer",
+        "X-Content-Type-Options": "nosniff",
+        "X-Frame-Options": "DENY",
+    }
+
+
+class SiteHandler(BaseHTTPRequestHandler):
+    """Answers one request; a subclass has `do_GET`, which begins with `is_allowed`."""
+
+    server: LimitedServer
+    site: Site
+    url: SplitResult
+    protocol_version = "HTTP/1.1"
+    timeout = 60
+    # Header and body leave in one packet, at once: a second small packet would wait until the
+    # browser acknowledges the first, which it delays by 40 ms.
+    wbufsize = 1 << 20
+    disable_nagle_algorithm = True
+
+    def is_allowed(self) -> bool:
+        """Return whether the request has the token, or comes to the loopback interface by name."""
+        site = self.site
+        self.server.note_request(self.connection)
+        try:
+            self.url = urlsplit(self.path)
+            host = urlsplit(f"//{self.headers.get('Host', '')}").hostname or ""
+        except ValueError:
+            self.refuse(HTTPStatus.BAD_REQUEST, "the address or its host is invalid")
+            return False
+        if site.token:
+            given = parse_qs(self.url.query).get("token", [self._cookie()])[0]
+            if hmac.compare_digest(given.encode(), site.token.encode()):
+                return True
+            with site.guesses:
+                time.sleep(_GUESS_S if given else 0)
+            self.refuse(
+                HTTPStatus.FORBIDDEN, "the token is missing or wrong: open /?token=TOKEN once"
+            )
+            return False
+        # A name that another site made point here would let its pages read the screen.
+        if is_loopback(host):
+            return True
+        self.refuse(HTTPStatus.FORBIDDEN, "open the page by the address 127.0.0.1")
+        return False
+
+    def _cookie(self) -> str:
+        try:
+            found = SimpleCookie(self.headers.get("Cookie", "")).get(_COOKIE)
+        except CookieError:
+            return ""
+        return unquote(found.value) if found is not None else ""
+
+    def answer(
+        self, data: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK, *, close: bool = False
+    ) -> None:
+        """Send data of a media type."""
+        self.send_head(kind, len(data), status, close=close)
+        self.wfile.write(data)
+
+    def send_head(
+        self,
+        kind: str,
+        size: int | None,
+        status: HTTPStatus = HTTPStatus.OK,
+        *,
+        close: bool = False,
+    ) -> None:
+        """Send the header of an answer; None as `size`: it ends with the connection."""
+        self.send_response(status)
+        self.send_header("Content-Type", kind)
+        if size is not None:
+            self.send_header("Content-Length", str(size))
+        for name, value in self.site.headers.items():
+            self.send_header(name, value)
+        if close or size is None:
+            self.send_header("Connection", "close")
+        token = self.site.token
+        if token and status is HTTPStatus.OK:
+            cookie = f"{_COOKIE}={quote(token, safe='')}; HttpOnly; SameSite=Strict; Path=/"
+            self.send_header("Set-Cookie", cookie)
+        self.end_headers()
+
+    def refuse(self, status: HTTPStatus, reason: str) -> None:
+        """Refuse a request; what else the client sends on this connection is not read."""
+        self.answer(reason.encode(), "text/plain; charset=utf-8", status, close=True)
+
+    def log_message(self, format: str, *arguments: Any) -> None:
+        """Print nothing: the terminal belongs to the user."""

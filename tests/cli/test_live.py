@@ -1,0 +1,43 @@
+"""`camctl live`: results into files and pipes, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from command_line import Run
+
+SMALL = ("--scene", "ramp", "-O", "size=64x48", "-O", "time=virtual", "--base", "0.002")
+
+
+def test_results_become_files(run: Run, tmp_path: Path) -> None:
+    folder = tmp_path / "some"
+    ran = run(
+        "live", *SMALL, "--ratios", "1,4,16", "--output", f"exr:{folder}", "--count", "9",
+        "--every", "4", "--json",
+    )  # fmt: skip
+    assert ran.status == 0
+    assert ran.json["results"] == 9
+    assert ran.json["lost"] == 0
+    assert ran.json["exposures_s"] == pytest.approx([0.002, 0.008, 0.032])
+    assert len(list(folder.iterdir())) == 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"),
+    [
+        (("--output", "exr"), "unknown output"),
+        (("--output", "v4l2:"), "unknown output"),
+        (("--output", "-", "--json"), "cannot be combined"),
+        (("--output", "http:x"), "invalid address"),
+        (("--output", "http:0.0.0.0:80"), "could be used by anybody"),
+        (("--output", "v4l2:/dev/none", "--ratios", "1,4"), "cannot open /dev/none"),
+        (("--output", "-", "--fps", "100"), "the camera sends 30"),
+        (("--output", "-", "--fps", "20", "--ratios", "1,100"), "with 20 results a second"),
+        ((), "missing"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line(run: Run, arguments: tuple[str, ...], part: str) -> None:
+    ran = run("live", *SMALL, *arguments)
+    assert ran.status in (1, 2)
+    assert part in ran.err.splitlines()[-1]
