@@ -30,11 +30,15 @@ class Kernel(Protocol):
     def wait(self, descriptor: int, timeout_s: float) -> bool:
         """Wait until there is a frame or an error; return False after `timeout_s` without one."""
 
-    def write(self, descriptor: int, data: NDArray[np.uint8]) -> None:
-        """Write the bytes of a picture."""
-
     def close(self, descriptor: int) -> None:
         """Close the descriptor."""
+
+
+class WritingKernel(Kernel, Protocol):
+    """The same, with what a video output needs."""
+
+    def write(self, descriptor: int, data: NDArray[np.uint8]) -> None:
+        """Write the bytes of a picture."""
 
 
 class Linux:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.drivers.v4l2 import abi
-from camctl.drivers.v4l2.kernel import Kernel, Linux
+from camctl.drivers.v4l2.kernel import Linux, WritingKernel
 from camctl.errors import UsageError
 
 #: V4L2_BUF_TYPE_VIDEO_OUTPUT, V4L2_FIELD_NONE and V4L2_COLORSPACE_SRGB of videodev2.h.
@@ -32,8 +32,10 @@ class LoopbackDevice:
             another size
     """
 
-    def __init__(self, path: str, shape: tuple[int, int], kernel: Kernel | None = None) -> None:
-        self._kernel = kernel or Linux()
+    def __init__(
+        self, path: str, shape: tuple[int, int], kernel: WritingKernel | None = None
+    ) -> None:
+        self._kernel: WritingKernel = kernel or Linux()
         self._path = path
         self._shape = shape[0], shape[1] & ~1
         try:

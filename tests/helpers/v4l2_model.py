@@ -288,9 +288,6 @@ class Model:
         place = self.place(found)
         place.offset, place.length = found.index * _BUFFER_BYTES, _BUFFER_BYTES
 
-    def write(self, descriptor: int, data: NDArray[np.uint8]) -> None:
-        raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
-
     def map(self, descriptor: int, offset: int, length: int) -> NDArray[np.uint8]:
         if length != _BUFFER_BYTES or not 0 <= offset < _BUFFER_BYTES * len(self.memory):
             self.fail()

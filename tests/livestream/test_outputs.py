@@ -342,7 +342,8 @@ def test_the_class_of_opencv(bits: int, dtype: type) -> None:
     found, picture = capture.read()
     assert found
     assert picture is not None
-    assert (picture.shape, picture.dtype) == ((48, 64, 3), dtype)
+    assert picture.shape == (48, 64, 3)
+    assert picture.dtype == dtype
     assert capture.result is not None
     assert np.array_equal(picture[..., 0] >> (bits - 8), capture.result.image[..., 2] >> 8)
     assert capture.get(cv2.CAP_PROP_FRAME_WIDTH) == 64

@@ -165,8 +165,8 @@ def test_many_silent_clients_do_not_shut_the_others_out(panel: WebPanel) -> None
         for _ in range(100):
             stack.enter_context(connect(panel)).sendall(b"GET / HTTP/1.1\r\nHost: ")
         assert ask(panel, "screen?after=0")[0] == 200
-        assert panel._server is not None
-        assert len(panel._server._used) <= 32
+        assert panel._site._server is not None
+        assert len(panel._site._server._used) <= 32
 
 
 HOSTILE = (
