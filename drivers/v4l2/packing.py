@@ -14,6 +14,7 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
+from camctl.drivers.common.packed_samples import lines, mipi
 from camctl.drivers.v4l2.node import Shape
 from camctl.errors import CameraError
 from camctl.interface.camera import Pixels
@@ -96,34 +97,12 @@ def _second_of_two(data: Bytes, shape: Shape) -> Pixels:
     return data.reshape(*shape, 2)[:, :, 1].copy()
 
 
-def _mipi(bits: int, count: int, data: Bytes, shape: Shape) -> Pixels:
-    """Unpack groups of bytes: the upper 8 bits of `count` samples, then all their lower bits.
-
-    The lower bits are one little-endian number, with the bits of the first sample lowest.
-    """
-    lower_bits = bits - 8
-    groups = data.reshape(-1, count * bits // 8).astype(np.uint32)
-    places = np.arange(count, dtype=np.uint32)
-    tail = groups[:, count:]
-    number = np.zeros(len(groups), np.uint32)
-    for place in range(tail.shape[1]):
-        number |= tail[:, place] << 8 * place
-    lower = number[:, None] >> places * lower_bits & 2**lower_bits - 1
-    return _lines((groups[:, :count] << lower_bits | lower).astype(np.uint16), shape)
-
-
 def _bits_of_10(data: Bytes, shape: Shape) -> Pixels:
     """Unpack five bytes into four samples of 10 bits, one after the other, upper bits first."""
     groups = data.reshape(-1, 5).astype(np.uint16)
     upper = groups[:, :4] << np.array([2, 4, 6, 8], np.uint16)
     lower = groups[:, 1:] >> np.array([6, 4, 2, 0], np.uint16)
-    return _lines(((upper | lower) & 1023).astype(np.uint16), shape)
-
-
-def _lines(groups: Pixels, shape: Shape) -> Pixels:
-    """Return samples line by line, without those that fill up the last group of a line."""
-    rows, columns = shape
-    return groups.reshape(rows, -1)[:, :columns]
+    return lines(((upper | lower) & 1023).astype(np.uint16), shape)
 
 
 def _jpeg(data: Bytes, shape: Shape) -> Pixels:
@@ -162,9 +141,9 @@ def _decode_jpeg(stream: bytes) -> tuple[NDArray[Any] | None, list[str]]:
 
 WORDS = Packing(lambda columns: 2 * columns, _words)
 BYTES = Packing(lambda columns: columns, _bytes)
-MIPI_RAW10 = Packing(lambda columns: -(-columns // 4) * 5, partial(_mipi, 10, 4))
-MIPI_RAW12 = Packing(lambda columns: -(-columns // 2) * 3, partial(_mipi, 12, 2))
-MIPI_RAW14 = Packing(lambda columns: -(-columns // 4) * 7, partial(_mipi, 14, 4))
+MIPI_RAW10 = Packing(lambda columns: -(-columns // 4) * 5, partial(mipi, 10, 4))
+MIPI_RAW12 = Packing(lambda columns: -(-columns // 2) * 3, partial(mipi, 12, 2))
+MIPI_RAW14 = Packing(lambda columns: -(-columns // 4) * 7, partial(mipi, 14, 4))
 BITS_OF_10 = Packing(lambda columns: -(-columns // 4) * 5, _bits_of_10)
 THREE_BYTES = Packing(lambda columns: 3 * columns, _three)
 THREE_BYTES_REVERSED = Packing(lambda columns: 3 * columns, _three_reversed)

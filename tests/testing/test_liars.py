@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -388,7 +389,7 @@ class _Bends(Liar):
     def returned(self, frame: Frame) -> Frame:
         span = float(frame.white - frame.black)
         share = (frame.pixels.astype(float) - frame.black) / span
-        pixels = np.rint(self.bent(share) * span + frame.black)
+        pixels: Any = np.rint(self.bent(share) * span + frame.black)
         return replace(frame, pixels=np.minimum(pixels, frame.white).astype(frame.pixels.dtype))
 
     def bent(self, share: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -69,6 +69,7 @@ OPENCV: Final = (
 EXTRAS: Final = {
     "raw": ("rawpy", "camera raw files"),
     "gphoto2": ("gphoto2", "the cameras of libgphoto2"),
+    "libcamera": ("picamera2", "cameras of the Raspberry Pi"),
     "plots": ("matplotlib", "plots"),
     "studies": ("scipy", "other methods in camctl tradeoff solver"),
     "fast": ("numba", "a faster simulated camera"),

@@ -1,0 +1,36 @@
+"""Samples of more than 8 bits as sensors pack them into bytes, after MIPI CSI-2."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.interface.camera import Pixels
+
+
+def mipi(bits: int, count: int, data: NDArray[np.uint8], shape: tuple[int, int]) -> Pixels:
+    """Unpack groups of bytes: the upper 8 bits of `count` samples, then all their lower bits.
+
+    The lower bits are one little-endian number, with the bits of the first sample lowest.
+
+    Args:
+        bits: of a sample
+        count: samples of a group
+        data: bytes of all lines, whole groups
+        shape: (rows, columns)
+    """
+    lower_bits = bits - 8
+    groups = data.reshape(-1, count * bits // 8).astype(np.uint32)
+    places = np.arange(count, dtype=np.uint32)
+    tail = groups[:, count:]
+    number = np.zeros(len(groups), np.uint32)
+    for place in range(tail.shape[1]):
+        number |= tail[:, place] << 8 * place
+    lower = number[:, None] >> places * lower_bits & 2**lower_bits - 1
+    return lines((groups[:, :count] << lower_bits | lower).astype(np.uint16), shape)
+
+
+def lines(groups: Pixels, shape: tuple[int, int]) -> Pixels:
+    """Return samples line by line, without those that fill up the last group of a line."""
+    rows, columns = shape
+    return groups.reshape(rows, -1)[:, :columns]

@@ -1,0 +1,1 @@
+"""Cameras of the Raspberry Pi through libcamera: its Python library is picamera2."""

@@ -1,0 +1,252 @@
+"""The backend `libcamera` through picamera2 itself, on a fake module `libcamera`.
+
+None of this has been on a board: what libcamera does is what its documentation says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+import pytest
+from fake_libcamera import FakePi, install, uninstall
+
+from camctl.drivers.libcamera import camera as driver
+from camctl.drivers.libcamera import requests
+from camctl.drivers.libcamera.backend import LibcameraBackend
+from camctl.drivers.libcamera.camera import LibcameraCamera, LibcameraOptions
+from camctl.errors import (
+    CameraBusyError,
+    CameraError,
+    CameraNotFoundError,
+    CameraProtocolError,
+    CameraTimeoutError,
+    UsageError,
+)
+from camctl.interface.camera import Camera
+from camctl.interface.controls import ExposureSetting, Layout
+from camctl.testing.conformance import CameraConformance
+
+needs_picamera2 = pytest.mark.skipif(
+    find_spec("picamera2") is None, reason="picamera2 is not installed"
+)
+# picamera2 uses an old name of threading, and closes what it could not open.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*setDaemon:DeprecationWarning"),
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+]
+Opened = Callable[..., LibcameraCamera]
+
+
+@pytest.fixture(autouse=True)
+def _module(request: pytest.FixtureRequest) -> Iterator[None]:
+    yield
+    uninstall()
+
+
+@pytest.fixture
+def opened() -> Iterator[Opened]:
+    """A function that opens a camera on a board with these properties."""
+    cameras: list[LibcameraCamera] = []
+
+    def open_on(board: FakePi, **options: Any) -> LibcameraCamera:
+        install(board)
+        parsed = LibcameraOptions.parse(options)
+        cameras.append(LibcameraCamera("", parsed, clock=board))
+        return cameras[-1].open()
+
+    yield open_on
+    for each in cameras:
+        each.close()
+
+
+def shot(camera: Camera, *times_s: float) -> list[Any]:
+    settings = [ExposureSetting(camera.controls.time_s.nearest(each)) for each in times_s]
+    with closing(camera.shoot(settings)) as frames:
+        return list(frames)
+
+
+def light(frame: Any) -> float:
+    return float(frame.pixels.mean() - frame.black)
+
+
+@needs_picamera2
+class TestConformance(CameraConformance):
+    longest_s = 1.0  # time is virtual, but the sensor's noise takes time
+    run_length = 60
+    board: FakePi
+
+    def open_camera(self) -> Camera:
+        self.board = FakePi()
+        install(self.board)
+        return LibcameraCamera("0", clock=self.board).open()
+
+    def open_second(self, camera: Camera) -> Camera:
+        return LibcameraCamera("0", clock=self.board).open()
+
+    def middle_s(self, camera: Camera) -> float:
+        return camera.controls.time_s.nearest(0.006)
+
+    def silence(self, camera: Camera) -> None:
+        self.board.is_silent = True
+
+    def in_force(self, camera: Camera) -> ExposureSetting:
+        return ExposureSetting(*self.board.in_force())
+
+    @pytest.fixture(autouse=True)
+    def _short_silence(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(requests, "SILENCE_S", 1.0)
+
+
+@needs_picamera2
+def test_a_sensor_is_found_with_its_lines_and_gains(opened: Opened) -> None:
+    board = FakePi()
+    camera = opened(board)
+    time, gain = camera.controls.time_s, camera.controls.gain
+    assert time.step == pytest.approx(board.line_us / 1e6, rel=2e-5)  # type: ignore[union-attr]
+    assert time.minimum == pytest.approx(4 * board.line_us / 1e6, rel=2e-5)
+    assert len(gain.between(1, 10, 99)) == 7
+    assert gain.minimum == 1
+    assert camera.controls.layout is Layout.RGGB
+    assert (camera.controls.bits, camera.controls.black) == (12, board.black)
+    assert (camera.controls.white, camera.controls.pixel_format) == (4095, "SRGGB12")
+    assert LibcameraBackend().discover()[0].model == "imx219"
+
+
+@needs_picamera2
+def test_everything_automatic_is_off_and_the_whole_sensor_is_used(opened: Opened) -> None:
+    board = FakePi()
+    opened(board)
+    found = board.controls
+    assert not found["AeEnable"]
+    assert not found["AwbEnable"]
+    assert found["NoiseReductionMode"] == 0
+    assert found["ScalerCrop"].to_tuple() == (0, 0, 3280, 2464)
+    assert found["FrameDurationLimits"] == (board.interval_us, 11_767_556)
+    assert (found["ExposureTimeMode"], found["AnalogueGainMode"]) == (1, 1)
+
+
+@needs_picamera2
+@pytest.mark.parametrize(
+    ("options", "board", "name"),
+    [
+        ({"format": "SRGGB12_CSI2P"}, {}, "SRGGB12_CSI2P"),
+        ({"format": "SRGGB10_CSI2P"}, {"bits": 10}, "SRGGB10_CSI2P"),
+        ({}, {"bits": 10}, "SRGGB10"),
+        # The Pi 5 stores samples in 16 bits, or compresses them where it is not asked for 16.
+        ({}, {"converts": {"SRGGB12": "SRGGB16"}}, "SRGGB16"),
+        ({}, {"converts": {"SRGGB12": "RGGB_PISP_COMP1", "SRGGB16": "SRGGB16"}}, "SRGGB16"),
+    ],
+)
+def test_all_formats_have_the_same_samples(
+    opened: Opened, options: dict[str, Any], board: dict[str, Any], name: str
+) -> None:
+    bits = board.get("bits", 12)
+    boards = FakePi(bits=bits), FakePi(**board)
+    frames = []
+    for each, chosen in zip(boards, ({}, options), strict=True):
+        camera = opened(each, **chosen)
+        frames.append(shot(camera, 0.006, 0.001))
+        formats = camera.controls.pixel_format
+        assert camera.controls.bits == bits
+        camera.close()
+        uninstall()
+    assert formats == name
+    for one, other in zip(*frames, strict=True):
+        assert light(one) == pytest.approx(light(other), rel=0.02)
+        assert int(other.pixels.max()) < 2**bits
+
+
+@needs_picamera2
+def test_lost_frames_and_lost_settings_are_sent_again(opened: Opened) -> None:
+    board = FakePi()
+    camera = opened(board)
+    board.lost = tuple(range(board.frame + 8, board.frame + 200, 5))
+    board.ignored = tuple(range(board.request, board.request + 300, 7))
+    times_s = (0.006, 0.001, 0.003, 0.006, 0.0005, 0.004)
+    frames = shot(camera, *times_s)
+    for frame, time_s in zip(frames, times_s, strict=True):
+        assert frame.applied.time_s == pytest.approx(time_s, rel=0.04)
+        assert light(frame) / light(frames[0]) == pytest.approx(
+            frame.applied.time_s / frames[0].applied.time_s, rel=0.03
+        )
+
+
+@needs_picamera2
+def test_a_sensor_that_does_not_follow_is_an_error(opened: Opened) -> None:
+    board = FakePi()
+    camera = opened(board)
+    board.ignored = range(10**6)  # type: ignore[assignment]
+    with pytest.raises(CameraProtocolError):
+        shot(camera, 0.001, 0.002)
+    board.ignored = ()
+    assert len(shot(camera, 0.001, 0.002)) == 2
+
+
+@needs_picamera2
+def test_a_board_that_changes_nothing_is_not_opened(opened: Opened) -> None:
+    with pytest.raises(CameraProtocolError):
+        opened(FakePi(ignored=range(10**6)))  # type: ignore[arg-type]
+
+
+@needs_picamera2
+def test_a_silent_board_is_not_opened(opened: Opened, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(requests, "SILENCE_S", 0.3)
+    with pytest.raises(CameraTimeoutError):
+        opened(FakePi(is_silent=True))
+
+
+@needs_picamera2
+@pytest.mark.parametrize(
+    ("options", "kind"),
+    [
+        ({"format": "MJPEG"}, UsageError),
+        ({"format": "SGRBG12"}, UsageError),  # not the order of this sensor
+        ({"size": "640x480"}, UsageError),
+    ],
+)
+def test_what_the_sensor_has_not_is_a_usage_error(
+    opened: Opened, options: dict[str, str], kind: type[Exception]
+) -> None:
+    with pytest.raises(kind) as error:
+        opened(FakePi(), **options)
+    assert "\n" not in str(error.value)
+
+
+@needs_picamera2
+def test_addresses() -> None:
+    board = FakePi()
+    install(board)
+    for address in ("", "0", "/base/soc/i2c0mux/i2c@1/imx219@10"):
+        with LibcameraCamera(address, clock=board) as camera:
+            assert camera.info.id == "libcamera:/base/soc/i2c0mux/i2c@1/imx219@10"
+            with pytest.raises(CameraBusyError):
+                LibcameraCamera("0", clock=board).open()
+    with pytest.raises(CameraNotFoundError):
+        LibcameraCamera("1", clock=board).open()
+
+
+def test_without_picamera2_there_are_no_cameras(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(driver, "find_spec", lambda _: None)
+    assert LibcameraBackend().discover() == []
+    with pytest.raises(CameraError) as error:
+        LibcameraBackend().open("0", {})
+    assert "picamera2" in str(error.value)
+
+
+def test_options_are_checked() -> None:
+    with pytest.raises(UsageError):
+        LibcameraBackend().open("0", {"colour": "red"})
+
+
+@needs_picamera2
+def test_pixels_are_those_of_the_sensor(opened: Opened) -> None:
+    board = FakePi()
+    camera = opened(board)
+    (frame,) = shot(camera, 0.006)
+    time_s, gain = board.in_force()
+    same = [board.seen.expose(time_s, gain, number) for number in range(board.frame)]
+    assert any(np.array_equal(frame.pixels, each) for each in same)
