@@ -60,11 +60,11 @@ def test_a_thing_that_is_all_that_can_be_compared_makes_no_exposure_wrong(
 ) -> None:
     """The wall behind it is saturated in the longer photograph."""
     files = []
-    y, x = np.mgrid[:240, :320]
+    y, x = np.mgrid[:180, :240]
     wall = 18 * np.exp(0.7 * (np.sin(x / 9) + np.sin(y / 7)))[..., None] * np.ones(3)
     for k, time_s in enumerate(times := (1 / 32, 1 / 2)):
         scene = wall.copy()
-        scene[60:200, 20 + 80 * k : 140 + 80 * k] = 0.3
+        scene[45:150, 15 + 60 * k : 105 + 60 * k] = 0.3
         files.append(save(tmp_path / f"p{k}.png", photograph(time_s, scene)))
     options = ("--curve", "srgb", "--times", ",".join(map(str, times)), "-o", "hall")
     assert run("merge", *files, *options).status == 0
@@ -83,7 +83,7 @@ def test_a_thing_that_moved_in_one_photograph_is_no_wrong_exposure(
     def moved(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
         changed = pixels.copy()
         if k == 3:
-            changed[60:120, 150:210] = (90, 60, 40)
+            changed[40:80, 100:140] = (90, 60, 40)
         return changed
 
     line = series(TIMES[2:6], change=moved)
@@ -94,8 +94,8 @@ def test_a_thing_that_moved_in_one_photograph_is_no_wrong_exposure(
     movement = read_report("hall").movement
     assert movement is not None
     place = movement.places[0]
-    assert (place.top, place.left) == pytest.approx((60, 150), abs=10)
-    assert (place.bottom, place.right) == pytest.approx((120, 210), abs=10)
+    assert (place.top, place.left) == pytest.approx((40, 100), abs=10)
+    assert (place.bottom, place.right) == pytest.approx((80, 140), abs=10)
 
 
 def test_a_border_of_one_pure_colour_is_cut_off(run: Run, series: Series) -> None:
@@ -105,31 +105,31 @@ def test_a_border_of_one_pure_colour_is_cut_off(run: Run, series: Series) -> Non
 
     found = run("merge", *series(FEW, change=with_border), "-o", "hall", "--json").json
     (cut,) = [each for each in found["facts"] if each["code"] == "masked"]
-    assert cut["place"] == {"top": 5, "left": 0, "bottom": 180, "right": 232}
+    assert cut["place"] == {"top": 5, "left": 0, "bottom": 120, "right": 152}
     assert cut["value"] == 0
-    assert cut["text"].startswith("cut to 232 x 175 pixels from column 0, row 5: ")
+    assert cut["text"].startswith("cut to 152 x 115 pixels from column 0, row 5: ")
     assert error_of("hall", SCENE[5:, :-8]) < 0.02
 
 
 def test_a_mask_leaves_pixels_out(run: Run, series: Series) -> None:
     valid = np.full(SCENE.shape[:2], 255, np.uint8)
-    valid[50:100, 60:160] = 0
+    valid[30:60, 40:110] = 0
     save(Path("mask.png"), valid)
     line = ("merge", *series(FEW), "--mask", "mask.png", "--curve", "srgb", "-o", "hall")
     ran = run(*line)
     assert ran.status == 0, ran.err
     mask = read_report("hall").mask()
-    assert np.all(mask[50:100, 60:160] & 1)
+    assert np.all(mask[30:60, 40:110] & 1)
     assert np.mean(mask[valid > 0] == 0) > 0.95
     save(Path("mask.png"), valid[:-1])
-    assert "mask mask.png has 240 x 179 pixels" in run(*line, "--force").error
+    assert "mask mask.png has 160 x 119 pixels" in run(*line, "--force").error
 
 
 @pytest.mark.slow
 def test_a_masked_part_is_not_taken_for_a_part_of_the_scene(run: Run, series: Series) -> None:
     """Black pixels would hide the pedestal, and be the darkest light of the picture."""
     valid = np.full(SCENE.shape[:2], 255, np.uint8)
-    valid[60:150, 30:150] = 0
+    valid[40:100, 20:100] = 0
     save(Path("mask.png"), valid)
     files = series(FEW, change=lambda k, pixels: np.maximum(pixels, 17))
     without = run("merge", *files, "-o", "hall", "--json").json
@@ -154,9 +154,9 @@ def test_a_masked_part_is_not_taken_for_a_part_of_the_scene(run: Run, series: Se
 
 def test_a_mask_that_is_black_around_cuts(run: Run, series: Series) -> None:
     valid = np.zeros(SCENE.shape[:2], np.uint8)
-    valid[20:170, 30:230] = 255
+    valid[10:110, 20:150] = 255
     save(Path("mask.png"), valid)
     found = run("merge", *series(FEW[1:4]), "--mask", "mask.png", "-o", "hall", "--json").json
     (cut,) = [each for each in found["facts"] if each["code"] == "masked"]
-    assert cut["place"] == {"top": 20, "left": 30, "bottom": 170, "right": 230}
-    assert error_of("hall", SCENE[20:170, 30:230]) < 0.02
+    assert cut["place"] == {"top": 10, "left": 20, "bottom": 110, "right": 150}
+    assert error_of("hall", SCENE[10:110, 20:150]) < 0.02

@@ -112,7 +112,7 @@ def test_a_profile_of_the_camera_in_the_exif_data_is_used(run: Run) -> None:
     )
 
     def keep(profile: Profile) -> None:
-        profile.responses["rgb-240x180-255"] = record
+        profile.responses["rgb-160x120-255"] = record
 
     # Another maker's camera has the same model name, and comes first.
     change_profile(CameraInfo("ptp", "Amaker", "X-T0", "1", "ptp"), keep)

@@ -23,7 +23,7 @@ FEW = TIMES[::2]
 Floats = NDArray[np.float64]
 
 
-def light(rows: int = 180, columns: int = 240) -> Floats:
+def light(rows: int = 120, columns: int = 160) -> Floats:
     """Return irradiance of a scene over 1:2,000 with shapes in it, (rows, columns, 3)."""
     rng = np.random.default_rng(1)
     coarse = cv2.resize(rng.uniform(0, 1, (12, 16)), (columns, rows), interpolation=cv2.INTER_CUBIC)

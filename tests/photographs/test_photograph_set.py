@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bracketed_photographs import FEW, SCENE, TIMES, film, photograph, save
+from bracketed_photographs import FEW, SCENE, TIMES, Floats, film, light, photograph, save
 from numpy.typing import NDArray
 
 from camctl import CaptureRequest, DataError, PhotographOptions
@@ -211,10 +211,12 @@ def test_two_photographs_of_different_things_are_named(opened: Opened) -> None:
 Colours = list[tuple[float, float]]
 
 
-def with_colours(times: tuple[float, ...], colours: Colours, curve: str | None) -> Any:
+def with_colours(
+    times: tuple[float, ...], colours: Colours, curve: str | None, scene: Floats = SCENE
+) -> Any:
     """Open photographs whose red and blue are these times those of the scene."""
     files = [
-        save(Path(f"p{k}.png"), photograph(time_s, SCENE * np.array([red, 1.0, blue])))
+        save(Path(f"p{k}.png"), photograph(time_s, scene * np.array([red, 1.0, blue])))
         for k, (time_s, (red, blue)) in enumerate(zip(times, colours, strict=True))
     ]
     return open_photographs(files, PhotographOptions(times=times, curve=curve))
@@ -241,7 +243,8 @@ class TestWhiteBalance:
         assert {"red", "blue"} & other.details.keys() == {"red"}
 
     def test_one_that_changes_halfway_is_named(self) -> None:
-        found = with_colours(TIMES[2:6], [(1, 1), (1, 1), (1.2, 1), (1.2, 1)], "srgb")
+        colours: Colours = [(1, 1), (1, 1), (1.2, 1), (1.2, 1)]
+        found = with_colours(TIMES[2:6], colours, "srgb", light(180, 240))
         (other,) = found.notes
         assert (other.code, other.frames) == ("other_white_balance", (0, 3))
         assert other.value == pytest.approx(1.2, abs=0.005)
@@ -281,7 +284,7 @@ def test_different_sizes_and_formats_are_named(opened: Opened) -> None:
     opened(TIMES[:3])
     files = [Path(f"p{k:02d}.png") for k in range(3)]
     save(files[1], photograph(TIMES[1])[:-10])
-    with pytest.raises(DataError, match=r"^p01.png has 240 x 170 pixels and p00.png has 240"):
+    with pytest.raises(DataError, match=r"^p01.png has 160 x 110 pixels and p00.png has 160"):
         open_photographs(files, PhotographOptions(times=TIMES[:3]))
     save(files[1], photograph(TIMES[1])[..., 1])
     with pytest.raises(DataError, match=r"p01.png is mono, 8 bits"):

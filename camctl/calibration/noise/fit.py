@@ -6,6 +6,7 @@ A weighted fit of all patches of all pairs, by `camctl.calibration.noise.curve`.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
@@ -21,8 +22,8 @@ from camctl.errors import DataError
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import CLIPPING_SIGMAS
 
-#: Relative change at which a fit ends.
-_CONVERGED = 1e-7
+#: Relative change at which a fit ends, and at which its start is near enough.
+_CONVERGED, _NEAR = 1e-7, 1e-2
 #: Patches with a mean above this share of white are not used for a start.
 _BRIGHT = 0.7
 #: Where a response is curved or noise is cut at black, patches with contrast that would change the
@@ -144,7 +145,9 @@ def fit_noise(curve: NoiseCurve, patches: PairPatches, white: float) -> NoiseFit
     # The medians of groups of brightness are a start that moving objects do not disturb.
     medians = _medians(patches.part(patches.mean < _BRIGHT * white))
     for _ in range(ROUNDS):
-        found, _ = _round(curve.shape(*found), medians, found)
+        before, (found, _) = found, _round(curve.shape(*found), medians, found)
+        if abs(found[0] - before[0]) < _NEAR * found[0]:
+            break
     for _ in range(ROUNDS):
         shape = curve.shape(*found)
         used, is_moved = _suitable(shape, patches, white)
@@ -244,12 +247,13 @@ def _start(curve: NoiseCurve, patches: PairPatches, white: float) -> tuple[float
             f"only {bright.mean.size} patches are between 8 % and 70 % of full scale",
             hint="add pairs of frames with exposures between, or use a scene with more shades",
         )
-    candidates = np.geomspace(1e-5, 1e2, 43)
-    above = [
-        np.mean(bright.variance > np.interp(bright.mean, *curve.moments(inverse_k, 0.0)))
-        for inverse_k in candidates.tolist()
-    ]
-    return float(candidates[int(np.argmin(np.abs(np.array(above) - 0.5)))]), 0.0
+    candidates = np.geomspace(1e-5, 1e2, 43).tolist()
+
+    def below(inverse_k: float) -> float:  # it grows with the noise
+        expected = np.interp(bright.mean, *curve.moments(inverse_k, 0.0))
+        return float(np.mean(bright.variance <= expected))
+
+    return candidates[min(bisect_left(candidates, 0.5, key=below), len(candidates) - 1)], 0.0
 
 
 def _check(
