@@ -15,7 +15,8 @@ which later captures use.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -81,14 +82,13 @@ def response(
 ) -> ResponseResult:
     """Measure the response: which brightness the camera gives to which irradiance.
 
-    The scene must not move and its light must be steady; it should have dark and bright parts and
-    many shades between.  Where the frames leave the curve too uncertain for a profile, the finding
-    `response_inexact` says which exposures help.
+    The scene must not move, its light must be steady, and it should have many shades from dark to
+    bright.  Where the curve is too uncertain for a profile, `response_inexact` says what helps.
 
     Args:
         source: an open camera, which shoots a series that suits the light; or frames
-        exposures: of the frames, s; None: as their files state them, or not known at all: then the
-            exponent of the curve is an expectation
+        exposures: of the frames, s; None: as files state them, or unknown: the curve's exponent is
+            then an expectation
         black: brightness without light, DN; None: as files state it, or found in the pixels
         white: brightness from which samples are saturated, DN; None: likewise
         layout: of arrays: the Bayer pattern, such as "rggb"
@@ -96,7 +96,7 @@ def response(
         longest_s: longest shutter time, s
         estimate_ratios: the exposures are only roughly known (30 %)
         chart: "macbeth" for a chart of 24 patches that is looked for, or a file of patches, one a
-            line: x, y, width, height, reflectance.  One frame is then enough
+            line: x, y, width, height, reflectance; one frame is enough
         keep: do not refuse frames that seem to show movement or wrong exposures, and let what is
             inexact pass without a finding
         progress: called with the share that is done
@@ -108,7 +108,7 @@ def response(
         CameraError: as `camctl.Camera.shoot` raises
     """
     frames: list[NDArray[Any]] = []
-    kept = None if chart is None else frames
+    kept = frames if chart else None
     if isinstance(source, Camera):
         series = measure_response(
             source, count=count, longest_s=longest_s, frames=kept, progress=progress
@@ -126,20 +126,11 @@ def response(
             finds_levels=True,
         )
         series, camera, mode = found.series(kept), found.camera, found.mode
-    seen = None if chart is None else _chart(chart, frames, series)
-    try:
+    seen = _chart(chart, frames, series) if chart else None
+    with _naming_measured_exposures(series):
         estimate = estimate_response(
             series, estimate_ratios=estimate_ratios, chart=seen, is_kept=keep
         )
-    except DataError as error:
-        if series.measured_exposures != "used":
-            raise
-        raise DataError(
-            error.what,
-            hint=f"{error.hint}; if the measured exposures in the camera's profile are wrong, "
-            "leave them out",
-            remedies={**error.remedies, "option:profile": "none"},
-        ) from error
     record = estimate.record
     inexact = None if keep or camera is None else inexactness(record, series.exposures)
     return ResponseResult(
@@ -155,6 +146,22 @@ def response(
         camera=camera,
         mode=mode,
     )
+
+
+@contextmanager
+def _naming_measured_exposures(series: Series) -> Iterator[None]:
+    """Add to an error that the exposures of the camera's profile may be wrong, if they are used."""
+    try:
+        yield
+    except DataError as error:
+        if series.measured_exposures != "used":
+            raise
+        raise DataError(
+            error.what,
+            hint=f"{error.hint}; if the measured exposures in the camera's profile are wrong, "
+            "leave them out",
+            remedies={**error.remedies, "option:profile": "none"},
+        ) from error
 
 
 def _chart(chart: str | os.PathLike[str], frames: list[NDArray[Any]], series: Series) -> Chart:

@@ -297,7 +297,9 @@ def run_on_terminal(folder: Path, *arguments: str) -> tuple[str, str]:
     ("line", "label"),
     [
         ("solve -n 2 --bits 4 --certificate --json", "proving"),
-        ("table show -n 1 --range low --sensitivity", "computing 3 rows"),
+        pytest.param(
+            "table show -n 1 --range low --sensitivity", "computing 3 rows", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_progress_is_shown_on_a_terminal_only(tmp_path: Path, line: str, label: str) -> None:

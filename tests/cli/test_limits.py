@@ -23,6 +23,11 @@ UNKNOWN = ("--scene", "uniform", "-n", "2", "--range", "5")
 """Exposures that are not in the built-in table."""
 
 
+SEVERAL = (
+    "import sys; from camctl.cli import main; print(*(main(line.split()) for line in sys.argv[1:]))"
+)
+"""A program that runs each argument as a command line, and prints the statuses."""
+
 SLOW = pytest.mark.slow  # each is a process, half a second of processor time or more
 
 
@@ -60,7 +65,7 @@ STREAMS = [
 ]
 
 
-IN_SLOW_TESTS = {0, 1, 4, 6, 8, 9, 10, 11, 13, 14, 16}
+IN_SLOW_TESTS = {0, 1, 4, 6, 8, 9, 10, 11, 13, 14, 15, 16}
 """Places in `STREAMS` of lines that differ from another one in a stream or the command alone."""
 
 
@@ -84,6 +89,7 @@ def test_closed_and_full_streams(
         assert (folder / "out/sum.tiff").exists()
 
 
+@SLOW
 def test_reader_that_leaves_early_is_no_error(folder: Path) -> None:
     """As with `| head -1`."""
     ended = camctl(folder, *SHOOT, shell="2>err | head -1")
@@ -153,12 +159,8 @@ def test_folder_in_place_of_a_file_is_one_line(run: Run, line: str, name: str) -
 def test_file_without_permission_is_one_line(folder: Path) -> None:
     for _, name in UNREADABLE:
         (folder / name).touch(mode=0)
-    code = (
-        "import sys; from camctl.cli import main; "
-        "print(*(main(line.split()) for line in sys.argv[1:]))"
-    )
     lines = [line for line, _ in UNREADABLE]
-    ended = camctl(folder, "-c", code, *lines, module=(), obeys_permissions=True)
+    ended = camctl(folder, "-c", SEVERAL, *lines, module=(), obeys_permissions=True)
     assert ended.out.split() == ["1"] * len(lines)
     for (_, name), error in zip(UNREADABLE, ended.err.splitlines(), strict=True):
         assert re.fullmatch(rf"camctl: .*{name}.*permission.*", error, re.IGNORECASE), error
@@ -196,18 +198,23 @@ def test_home_without_permission(folder: Path) -> None:
 
 def test_folder_that_cannot_be_written(folder: Path) -> None:
     folder.chmod(0o555)
-    ended = camctl(folder, *SHOOT, obeys_permissions=True)
-    assert ended.check_one_line(1).startswith("cannot write out: no permission to write; choose")
-    line = ("simulate", "--size", "24x16", "-o", "frame.png")
-    assert "no permission" in camctl(folder, *line, obeys_permissions=True).check_one_line(1)
+    lines = (" ".join(SHOOT), "simulate --size 24x16 -o frame.png")
+    ended = camctl(folder, "-c", SEVERAL, *lines, module=(), obeys_permissions=True)
+    assert ended.out.split() == ["1", "1"]
+    shoot, simulate = ended.err.splitlines()
+    assert shoot.startswith("camctl: cannot write out: no permission to write; choose")
+    assert simulate.startswith("camctl: ")
+    assert "no permission" in simulate
 
 
 @pytest.mark.parametrize(
     "line",
     [
-        "shoot -O size=24x16",
         "solve --curve x",
-        *(pytest.param(each, marks=SLOW) for each in ("shoot --scene x.hdr", "solve --settings x")),
+        *(
+            pytest.param(each, marks=SLOW)
+            for each in ("shoot -O size=24x16", "shoot --scene x.hdr", "solve --settings x")
+        ),
     ],
 )
 def test_working_directory_that_was_deleted(folder: Path, line: str) -> None:
@@ -225,7 +232,8 @@ def test_few_open_files_suffice(folder: Path) -> None:
     assert (ended.status, ended.err) == (0, "")
 
 
-@pytest.mark.parametrize("files", [6, *(pytest.param(files, marks=SLOW) for files in (5, 7, 9))])
+@SLOW
+@pytest.mark.parametrize("files", [5, 6, 7, 9])
 def test_too_few_open_files(folder: Path, files: int) -> None:
     """Below about 5 not even Python starts."""
     ended = camctl(folder, *SHOOT, limits={resource.RLIMIT_NOFILE: files})
@@ -280,6 +288,7 @@ def test_limit_of_memory(folder: Path, size: str, megabytes: int, message: str) 
         assert ended.err.endswith(f"frames are kept; {RESUME}\n")
 
 
+@SLOW
 def test_bytes_that_are_no_text_name_a_folder(folder: Path) -> None:
     ended = camctl(folder, *SHOOT[:-1], b"out\xff")
     assert (ended.status, ended.err) == (0, "")

@@ -67,7 +67,7 @@ def end(terminal: Terminal) -> tuple[int, str]:
 @pytest.mark.parametrize(
     ("ignores_hangup", "status", "err"),
     [
-        (True, 1, "camctl: the terminal was closed\n"),
+        pytest.param(True, 1, "camctl: the terminal was closed\n", marks=pytest.mark.slow),
         (False, 129, "camctl: interrupted by SIGHUP\n"),
     ],
 )

@@ -23,7 +23,7 @@ from command_line import Run
 
 from camctl import PhotographOptions, merge, read_report
 
-LARGE = light(180, 240)
+LARGE = light(240, 320)
 
 
 def test_a_series_becomes_a_radiance_map_without_warnings(run: Run, series: Series) -> None:

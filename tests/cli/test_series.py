@@ -52,7 +52,10 @@ def test_a_series_is_a_folder_of_captures_with_a_page(run: Run) -> None:
     )
 
 
-@pytest.mark.parametrize("sensor", ["standard", "phone", "consumer"])
+@pytest.mark.parametrize(
+    "sensor",
+    ["phone", *(pytest.param(each, marks=pytest.mark.slow) for each in ("standard", "consumer"))],
+)
 def test_the_space_of_a_set_is_known_before_the_first_one(sensor: str, tmp_path: Path) -> None:
     with camctl.open_camera("sim", sensor=sensor, size="320x240") as camera:
         series = journal(request=camctl.CaptureRequest(count=2, dynamic_range=256.0), repeat=2)

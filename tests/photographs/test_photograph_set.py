@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bracketed_photographs import FEW, SCENE, TIMES, Floats, film, light, photograph, save
+from bracketed_photographs import FEW, TIMES, film, light, photograph, save
 from numpy.typing import NDArray
 
 from camctl import CaptureRequest, DataError, PhotographOptions
@@ -208,15 +208,16 @@ def test_two_photographs_of_different_things_are_named(opened: Opened) -> None:
     assert "left_out" not in other.details
 
 
+LARGE = light(180, 240)
+"""Differences of colours need more samples than others."""
+
 Colours = list[tuple[float, float]]
 
 
-def with_colours(
-    times: tuple[float, ...], colours: Colours, curve: str | None, scene: Floats = SCENE
-) -> Any:
+def with_colours(times: tuple[float, ...], colours: Colours, curve: str | None) -> Any:
     """Open photographs whose red and blue are these times those of the scene."""
     files = [
-        save(Path(f"p{k}.png"), photograph(time_s, scene * np.array([red, 1.0, blue])))
+        save(Path(f"p{k}.png"), photograph(time_s, LARGE * np.array([red, 1.0, blue])))
         for k, (time_s, (red, blue)) in enumerate(zip(times, colours, strict=True))
     ]
     return open_photographs(files, PhotographOptions(times=times, curve=curve))
@@ -243,8 +244,7 @@ class TestWhiteBalance:
         assert {"red", "blue"} & other.details.keys() == {"red"}
 
     def test_one_that_changes_halfway_is_named(self) -> None:
-        colours: Colours = [(1, 1), (1, 1), (1.2, 1), (1.2, 1)]
-        found = with_colours(TIMES[2:6], colours, "srgb", light(180, 240))
+        found = with_colours(TIMES[2:6], [(1, 1), (1, 1), (1.2, 1), (1.2, 1)], "srgb")
         (other,) = found.notes
         assert (other.code, other.frames) == ("other_white_balance", (0, 3))
         assert other.value == pytest.approx(1.2, abs=0.005)

@@ -108,12 +108,10 @@ def estimate_response(
 
     Args:
         series: frames of different exposure of one scene; with a chart, one is enough
-        estimate_ratios: the exposures are approximate (30 %), and are estimated, too, as for
-            a series that does not state them always are
+        estimate_ratios: estimate the approximate exposures (30 %), as where they are not stated
         chart: adds the brightness of its patches to what the frames say
         is_scene_checked: False: the caller checks exposures and movement itself
-        is_kept: frames that seem to have moved, or to contradict their exposures, are not refused:
-            a finding says so
+        is_kept: a finding, no refusal, where frames seem to have moved or have wrong exposures
         is_rough: movement, spill and noise are not looked for: for exposures, not for a curve
 
     Raises:
@@ -130,14 +128,14 @@ def estimate_response(
     if is_scene_checked:
         with noted():
             check_order_of_patches(series)
+    is_doubtful = False
     if is_rough:
         channels = _together([_Evidence.of(series, each, chart) for each in series.channels])
-        is_doubtful = False
     else:
         channels, is_doubtful = _still_evidence(series, chart, findings)
         channels = _without_spill(series, channels, findings)
     exponent = Exponent(1.0, 0.0)
-    if estimate_ratios and exposures.size > 1 and not (series.exposures_are_stated and not chart):
+    if estimate_ratios and exposures.size > 1 and (chart or not series.exposures_are_stated):
         exponent = common_exponent([each.exponent(exposures) for each in channels])
         exposures = exposures**exponent.value
         if chart is None:
@@ -146,26 +144,17 @@ def estimate_response(
             )
     saturating = {name: _saturates(series, name) for name in series.channels}
     if exposures.size > 1 and not is_rough:
-        start = ROUGH if estimate_ratios else STATED
-        together = _together(channels)
-        first = [each.fit(exposures, start) for each in together]
-        channels = [
-            each.without_noise(fit)
-            for each, fit in zip(channels, first * len(channels), strict=False)
-        ]
+        channels = _without_noise(channels, exposures, ROUGH if estimate_ratios else STATED)
     channels, fits = _needed(channels, exposures)
     labels = LabelCheck(np.ones((len(channels), exposures.size)))
     if not estimate_ratios:
         if is_scene_checked:
-            names = [each.name for each in channels]
-            labels = _checked_scene(series, exposures, names, fits, labels, noted)
+            labels = _checked_scene(series, exposures, channels, fits, labels, noted)
         if labels.finding is not None:
             findings.append(labels.finding)
-        pairs = zip(channels, labels.corrections, strict=True)
-        fits = [each.fit(exposures * factors, STATED) for each, factors in pairs]
-    for each, fit in zip(channels, fits, strict=True):
-        if each.samples is not None:
-            findings += chart_findings(each.samples, fit.patch_errors, each.name)
+        corrected = exposures * labels.corrections
+        fits = [each.fit(own, STATED) for each, own in zip(channels, corrected, strict=True)]
+    findings += _chart_findings(channels, fits)
     if not is_rough:
         fits = _with_misfit(series, fits, estimates_ratios=estimate_ratios)
     fits = [with_exponent_error(fit, exponent.error + labels.exponent_error) for fit in fits]
@@ -183,6 +172,24 @@ def estimate_response(
         findings=tuple(each for k, each in enumerate(findings) if each not in findings[:k]),
         is_doubtful=is_doubtful,
     )
+
+
+def _without_noise(
+    channels: Sequence[_Evidence], exposures: FloatArray, exposure_error: float
+) -> list[_Evidence]:
+    """Return the evidence corrected for noise, by a first fit of all channels together."""
+    first = [each.fit(exposures, exposure_error) for each in _together(list(channels))]
+    return [
+        each.without_noise(fit) for each, fit in zip(channels, first * len(channels), strict=False)
+    ]
+
+
+def _chart_findings(
+    channels: Sequence[_Evidence], fits: Sequence[ResponseFit]
+) -> Iterator[Finding]:
+    for each, fit in zip(channels, fits, strict=True):
+        if each.samples is not None:
+            yield from chart_findings(each.samples, fit.patch_errors, each.name)
 
 
 def _record(
@@ -255,7 +262,7 @@ def _saturates(series: Series, name: str) -> bool:
 def _checked_scene(
     series: Series,
     exposures: FloatArray,
-    names: Sequence[str],
+    channels: Sequence[_Evidence],
     fits: Sequence[ResponseFit],
     labels: LabelCheck,
     noted: Callable[[], AbstractContextManager[None]],
@@ -264,6 +271,7 @@ def _checked_scene(
 
     `labels` are returned where contradictions are kept.
     """
+    names = [each.name for each in channels]
     for name, fit in zip(names, fits, strict=True):
         with noted():
             check_patches(series, name, fit)

@@ -173,12 +173,8 @@ def fit_response(
         misfit = misfit if exposure_error < ROUGH else 1.0
         weights = robust / (variance * system.alike * misfit)
         square = (system.rows * weights[:, None]).T @ system.rows + known
-        if turn < _ROUNDS:
-            expected = 1 / np.maximum(1.0, np.abs(bends) / _BEND)
-        else:
-            around = _around(np.interp(places, x_known, log_E))
-            expected = _ADAPTED / (around @ bends**2 + _LEAST_CURVED)
-        smooth = roughness * expected[:, None]
+        around = None if turn < _ROUNDS else np.interp(places, x_known, log_E)
+        smooth = roughness * _expected(bends, around)[:, None]
         square[:COEFFICIENTS, :COEFFICIENTS] += roughness.T @ smooth
         square += 1e3 * np.trace(square[:COEFFICIENTS, :COEFFICIENTS]) * top.T @ top
         product = system.rows.T @ (weights * system.wanted)
@@ -334,6 +330,13 @@ def _prior(matches: Matches, logs: FloatArray, edges: FloatArray) -> _Prior:
         return _PRIORS["few levels"]
     is_far = np.median(np.diff(np.unique(logs))) > math.log(_FAR)
     return _PRIORS["far apart" if is_far else "many levels"]
+
+
+def _expected(bends: FloatArray, log_E: FloatArray | None) -> FloatArray:
+    """Return the weight of each difference of the prior, by it, or with ln E by those around."""
+    if log_E is None:
+        return np.asarray(1 / np.maximum(1.0, np.abs(bends) / _BEND))
+    return np.asarray(_ADAPTED / (_around(log_E) @ bends**2 + _LEAST_CURVED))
 
 
 def _around(log_E: FloatArray) -> FloatArray:
