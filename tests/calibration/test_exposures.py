@@ -56,7 +56,7 @@ def relative_errors(record: ExposureRecord, offset_s: float) -> NDArray[np.float
         pytest.param("tile-floor", "standard", marks=pytest.mark.slow),  # 8 bits, linear
         ("tile-floor", "phone"),  # 10 bits, Bayer mosaic, black level
         pytest.param("tile-floor", "consumer", marks=pytest.mark.slow),  # 8 bits, non-linear
-        ("colour-chart", "standard"),  # RGB
+        pytest.param("colour-chart", "standard", marks=pytest.mark.slow),  # RGB
         pytest.param("tile-floor", "machine-vision", marks=pytest.mark.slow),  # 12 bits
     ],
 )

@@ -295,6 +295,7 @@ def test_odd_frames_are_refused_or_give_a_curve_that_ascends(
     assert np.all(np.array(channel.deviation) >= 0)
 
 
+@pytest.mark.slow
 def test_the_intervals_hold_at_coarse_steps_too() -> None:
     inside = []
     for name in CURVES:

@@ -128,6 +128,7 @@ def test_a_turned_chart_and_a_mosaic_are_found(angle: int) -> None:
         assert picture[y, x].min() > 0.85
 
 
+@pytest.mark.slow
 def test_exposures_that_nobody_states_are_found_with_a_chart() -> None:
     true = (1.0, 0.4, 0.15)
     for curve in (srgb, s_curve):

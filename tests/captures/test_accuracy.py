@@ -17,11 +17,11 @@ from camctl.sim.sensors.sensor import load_sensor
     [
         ("standard", "log", (1, 9.91, 88.38)),
         ("standard", "linear", (1, 1.003, 2.985)),
-        ("webcam", "gamma", (1, 3.094)),
+        pytest.param("webcam", "gamma", (1, 3.094), marks=pytest.mark.slow),
         ("consumer", "log", (1, 20.24)),  # an sRGB curve
         ("phone", "log", (1, 2, 4, 8)),  # a mosaic, and noise below the black level
-        ("machine-vision", "gamma", (1, 1.003, 5.146)),
-        ("complete", "linear", (1, 2, 4, 8)),
+        pytest.param("machine-vision", "gamma", (1, 1.003, 5.146), marks=pytest.mark.slow),
+        pytest.param("complete", "linear", (1, 2, 4, 8), marks=pytest.mark.slow),
         ("ideal-8", "log", (1, 9.91, 88.38)),
     ],
 )

@@ -118,7 +118,8 @@ def test_untrustworthy_capture_has_all_its_files(tmp_path: Path) -> None:
         ("night-street", "complete"),
         # Its drain keeps the streaks of the lamps short.
         pytest.param("night-street", "ccd", marks=pytest.mark.slow),
-        ("grey-steps", "ccd"),  # light flows out of the bright steps into a tenth of the picture
+        # Light flows out of the bright steps into a tenth of the picture.
+        pytest.param("grey-steps", "ccd", marks=pytest.mark.slow),
         ("outdoor-sun", "complete"),
         ("pwm-lamp", "quanta-1"),
         ("cloth", "quanta-3"),  # noise of two electrons in seven levels

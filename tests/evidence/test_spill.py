@@ -89,10 +89,8 @@ def test_light_of_lamps_that_flicker_has_not_spread(sensor: str, stops: float) -
     assert not [each for each in report.findings if each.code == "light_spread"]
 
 
-@pytest.mark.parametrize(
-    "scene",
-    ["room", *(pytest.param(each, marks=pytest.mark.slow) for each in ("night-street", "ball"))],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", ["room", "night-street", "ball"])
 def test_the_advice_against_light_that_spreads_helps(scene: str) -> None:
     report = shot("ccd", scene, camctl.CaptureRequest(dynamic_range="auto"))
     assert report.movement is not None

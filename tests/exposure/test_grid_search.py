@@ -44,7 +44,8 @@ def test_each_ratio_of_a_third_stop_grid_is_scored_once() -> None:
     assert found.xi == pytest.approx(258.91, abs=0.01)
 
 
-@pytest.mark.parametrize("name", ["log", pytest.param("linear", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["log", "linear"])
 def test_fine_grid_reaches_the_optimum_of_arbitrary_exposures(name: str) -> None:
     times, desired = stepped(1e-4, 1.0, 1e-4), desired_response(name, 1000.0)
     found = solve_settings(EIGHT_BIT, desired, 3, SettingsGrid(times))

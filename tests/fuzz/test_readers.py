@@ -51,7 +51,7 @@ def test_samples_are_read(tmp_path: Path, name: str) -> None:
 
 # The examples share a folder: each writes its file anew.
 MANY = settings(
-    max_examples=settings().max_examples // 4,
+    max_examples=settings().max_examples // 2,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 
@@ -76,7 +76,7 @@ def test_random_bytes_are_read_or_refused(tmp_path: Path, name: str, data: bytes
 
 @pytest.mark.parametrize("rate", [0.02, 0.5])
 @pytest.mark.parametrize("name", SESSIONS)
-@settings(max_examples=settings().max_examples // 5)
+@settings(max_examples=settings().max_examples // 3)
 @given(seed=st.integers(0, 2**32))
 def test_damaged_replies_of_a_device_end_in_an_error_of_camctl(
     name: str, rate: float, seed: int

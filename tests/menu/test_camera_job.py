@@ -78,8 +78,10 @@ def camera() -> Iterator[RecordingCamera]:
     ("response", "dynamic_range", "count"),
     [
         (0, 1, 3),
-        (0, 0, 1),
-        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((1, 2, 2), (2, 0, 4))),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in ((0, 0, 1), (1, 2, 2), (2, 0, 4))
+        ),
     ],
 )
 def test_settings_reviewed_are_the_settings_shot(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import OpenEXR
 import pytest
 from picture_parts import NOISE, details, rendered
+from sampling import some
 
 from camctl.errors import DataError
 from camctl.interface.controls import Layout
@@ -20,8 +22,9 @@ from camctl.records.folder_store import FolderStore
 from camctl.records.frame_store import MemoryStore
 
 
-@pytest.mark.parametrize("layout", list(Layout))
-@pytest.mark.parametrize("response", ["linear", "gamma", "log"])
+@pytest.mark.parametrize(
+    ("layout", "response"), some(product(Layout, ("linear", "gamma", "log")), every=4)
+)
 def test_strips_leave_no_seam(
     layout: Layout, response: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

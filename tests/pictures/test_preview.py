@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from picture_parts import light_of
+from sampling import some
 
 import camctl
 from camctl.pictures import preview_light
@@ -43,7 +44,14 @@ def test_srgb_codes_invert_the_standard() -> None:
 
 @pytest.mark.parametrize(
     ("name", "sensor"),
-    [*((name, "standard") for name in SCENES), ("night-street", "complete"), ("stars", "complete")],
+    some(
+        [
+            ("stars", "complete"),
+            *((name, "standard") for name in SCENES),
+            ("night-street", "complete"),
+        ],
+        every=3,
+    ),
 )
 def test_preview_of_each_scene_shows_the_light_in_range(name: str, sensor: str) -> None:
     """Under 2 % of the samples in range are 0, and the picture is neither black nor white."""

@@ -6,11 +6,13 @@ import random
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
 from ptp_bench import bench, camera_on, settings_at, shoot
+from sampling import some
 
 from camctl.drivers.ptp.camera import PtpCamera
 from camctl.drivers.ptp.transport import CAPTURE_S, NORMAL_S
@@ -315,9 +317,9 @@ class TestWrongPictures:
                 shoot(camera, [setting])
 
 
-@pytest.mark.parametrize("rate", [0.02, 0.1])
-@pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("vendor", VENDORS)
+@pytest.mark.parametrize(
+    ("vendor", "seed", "rate"), some(product(VENDORS, range(2), (0.02, 0.1)), every=3)
+)
 def test_damaged_datasets_end_in_typed_errors(
     vendor: str, seed: int, rate: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import closing
+from itertools import product
 
 import numpy as np
 import pytest
+from sampling import some
 from v4l2_bench import TICKS, exposures, open_streaming, save_delay, settings
 from v4l2_model import Model, ticks_of
 
@@ -124,8 +126,9 @@ def test_losing_an_unneeded_frame_costs_one_slot() -> None:
         assert slots <= len(TICKS) + 3 + 2
 
 
-@pytest.mark.parametrize("fault", ["flag", "damage", "lose", "skip"])
-@pytest.mark.parametrize("delay", [0, 1, 2, 5])
+@pytest.mark.parametrize(
+    ("fault", "delay"), some(product(("flag", "damage", "lose", "skip"), (0, 1, 2, 5)), every=3)
+)
 def test_a_frame_that_cannot_be_used_costs_one_slot(fault: str, delay: int) -> None:
     """Flagged by the driver, too short, lost by the driver, or never sent by the camera.
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from sampling import some
 
 from camctl.sim.effects.budget import plan_frame
 from camctl.sim.effects.record import Lines, Tile
@@ -187,8 +188,9 @@ def test_the_sun_is_black() -> None:
     assert seen == pytest.approx(np.array(expected), rel=2e-3, abs=1.0)
 
 
-@pytest.mark.parametrize("duty", [0.05, 0.5, 1.0])
-@pytest.mark.parametrize("periods", [0.03, 0.7, 1.0, 2.3, 17.9])
+@pytest.mark.parametrize(
+    ("duty", "periods"), some(product((0.05, 0.5, 1.0), (0.03, 0.7, 1.0, 2.3, 17.9)), every=3)
+)
 def test_pwm_lamps_are_averaged_exactly(duty: float, periods: float) -> None:
     lamps = PwmLamps(200.0, duty, 0.8)
     time_s = periods / 200.0
