@@ -13,7 +13,7 @@ copyright = "the camctl authors"
 release = version = installed_version("camctl")
 
 extensions = [
-    "myst_parser",
+    "myst_nb",  # Markdown pages, and notebooks
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
@@ -30,6 +30,7 @@ autodoc_typehints_description_target = "documented"
 autodoc_preserve_defaults = True
 napoleon_use_ivar = True
 
+nb_execution_mode = "off"  # they hold what they show; see run_notebooks.py
 myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 3
 
