@@ -92,23 +92,28 @@ class Window:
             CaptureError: its format differs from the others
         """
         assert frame.place is not None  # a frame of a cycle has one
-        if (frame.black, frame.white) != (self._black, self._white):
-            raise CaptureError(
-                f"the camera changed its black and white level to {frame.black} and {frame.white}",
-                hint="keep gain and format fixed",
-            )
         if frame.place.plan != self._plan:
             self._plan = frame.place.plan
             self._missing = set(range(count))
             self._frames += [None] * (count - len(self._frames))
-        self._exchange(frame.index, frame)
-        self.newest = frame
+        self.put(frame, frame.index)
         self._missing.discard(frame.index)
         if not self._missing:
             for place in range(count, len(self._frames)):
                 self._exchange(place, None)
             del self._frames[count:]
             self.is_complete = True
+
+    def put(self, frame: Frame, place: int) -> None:
+        """Put a frame in a place, the next one at most; raises as `add` does."""
+        if (frame.black, frame.white) != (self._black, self._white):
+            raise CaptureError(
+                f"the camera changed its black and white level to {frame.black} and {frame.white}",
+                hint="keep gain and format fixed",
+            )
+        self._frames += [None] * (place + 1 - len(self._frames))
+        self._exchange(place, frame)
+        self.newest = frame
 
     def _exchange(self, place: int, new: Frame | None) -> None:
         old, self._frames[place] = self._frames[place], new
