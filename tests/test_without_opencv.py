@@ -31,7 +31,7 @@ def test_some_tests_of_menu_and_captures_pass_without_opencv() -> None:
 def test_device_requirements_are_the_dependencies_without_opencv() -> None:
     listed = {
         _name(line)
-        for line in (ROOT / "requirements-device.txt").read_text().splitlines()
+        for line in (ROOT / "docs/how-to/requirements-device.txt").read_text().splitlines()
         if not line.startswith("#")
     }
     assert listed == _needed("camctl", set()) - {"camctl"}

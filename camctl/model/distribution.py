@@ -37,6 +37,7 @@ _NORMAL_CDF = np.array(
         for x in (np.arange(2 * NORMAL_REACH * _NORMAL_STEPS + 2) / _NORMAL_STEPS - NORMAL_REACH)
     ]
 )
+_NORMAL_CDF[0], _NORMAL_CDF[-2:] = 0.0, 1.0
 _NORMAL_RISE = np.diff(_NORMAL_CDF)
 
 _LEAST_MERGED = 1.0
@@ -54,8 +55,10 @@ def normal_cdf(x: FloatArray) -> FloatArray:
     """Return the normal distribution function, to 1e-7; 0 and 1 beyond `NORMAL_REACH`."""
     place = np.clip((x + NORMAL_REACH) * _NORMAL_STEPS, 0, _NORMAL_RISE.size - 1)
     index = place.astype(np.intp)
-    found = _NORMAL_CDF[index] + (place - index) * _NORMAL_RISE[index]
-    return np.asarray(np.where(x <= -NORMAL_REACH, 0.0, np.where(x >= NORMAL_REACH, 1.0, found)))
+    place -= index
+    place *= _NORMAL_RISE[index]
+    place += _NORMAL_CDF[index]
+    return np.asarray(place)
 
 
 def check_noise(noise: Sequence[FrameNoise], n: int) -> None:

@@ -149,14 +149,14 @@ def test_still_camera_has_a_timing_and_no_delay(run: Run, monkeypatch: pytest.Mo
     assert list_profiles() == []
 
 
-SMALL_PHONE = ("--sensor", "phone", "-O", "size=320x240")
+SMALL_PHONE = ("--sensor", "phone", "-O", "size=240x180")
 
 
 def test_true_exposures_are_measured_kept_and_used(run: Run) -> None:
     ran = run("calibrate", "exposure", *SMALL_PHONE, "--longest", "0.3", "--json")
     assert ran.status == 0
     found = ran.json
-    assert found["mode"] == "rggb-320x240-1023"
+    assert found["mode"] == "rggb-240x180-1023"
     times = found["times"]
     assert len(times) > 5
     assert all(each["low"] <= each["factor"] <= each["high"] for each in times)

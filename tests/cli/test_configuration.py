@@ -33,7 +33,9 @@ def test_response_range_and_folder_are_defaults(run: Run, configure: Configure) 
     assert (ran.json["request"]["response"], ran.json["request"]["dynamic_range"]) == ("gamma", 300)
     (folder,) = Path("pictures/today").iterdir()
     assert (folder / "report.json").exists()
-    given = run("shoot", *SMALL, "--response", "log", "--range", "256", "-o", "here", "--json")
+    given = run(
+        *("shoot", *SMALL, "--response", "log", "--range", "256", "-n", "2", "-o", "here", "--json")
+    )
     assert given.json["plan"]["dynamic_range"] == 256
     assert given.json["request"].get("response", "log") == "log"
     assert Path("here/report.json").exists()

@@ -28,8 +28,8 @@ from camctl.sim.scenes.view import Light, View
 from camctl.sim.sensors.parts import Dark, Lens
 from camctl.sim.sensors.sensor import Sensor, load_sensor
 
-CASES = 833  # 10,000 in all
-CHUNKS = 12
+CASES = 833  # 5,000 in all
+CHUNKS = 6
 
 
 def log_uniform(random: np.random.Generator, low: float, high: float) -> float:
