@@ -82,6 +82,8 @@ class CameraBackend(Protocol):
 
     A backend may have two attributes: `about`, one line about the cameras it reaches, and
     `local_address`, a regular expression for addresses of devices of this machine; see `is_local`.
+    It may have a method `record(address)`, which returns what the camera at an address says of
+    itself, as an object for JSON without serial numbers and pictures, for `record_cameras`.
     """
 
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
@@ -185,6 +187,22 @@ def list_backends(*, probe: bool = False) -> list[BackendListing]:
         except CamctlError as error:
             listings.append(BackendListing(name, about, problem=str(error)))
     return listings
+
+
+def record_cameras(*, probe: bool = False) -> list[dict[str, Any]]:
+    """Return what the cameras say that can be found now, for those who write the drivers.
+
+    Cameras of backends that cannot record are left out.  Each is opened, and no picture is taken.
+    """
+    found = []
+    for listing in list_backends(probe=probe):
+        backend = load(CAMERAS, "camera", listing.name)()
+        if hasattr(backend, "record"):
+            found += [
+                {"backend": listing.name, **backend.record(camera.id.partition(":")[2])}
+                for camera in listing.cameras
+            ]
+    return found
 
 
 def list_cameras(*, probe: bool = False) -> list[CameraInfo]:

@@ -17,6 +17,7 @@ from camctl.drivers.common.usb import (
     usb_identity,
 )
 from camctl.drivers.ptp.camera import PtpCamera, PtpOptions
+from camctl.drivers.ptp.recording import record
 from camctl.drivers.ptp.usb_transport import STILL_IMAGE
 from camctl.errors import CameraNotFoundError
 from camctl.interface.camera import CameraInfo
@@ -49,6 +50,10 @@ class PtpBackend:
             replace(usb_identity(device, "ptp"), remark=_remark(device.idVendor))
             for device in self._devices()
         )
+
+    def record(self, address: str) -> dict[str, Any]:
+        """Return what the camera says when it is opened; see `CameraBackend`."""
+        return record(self._find(address))
 
     def open(self, address: str, options: Mapping[str, str]) -> PtpCamera:
         parsed = PtpOptions.parse(options)

@@ -11,6 +11,7 @@ from typing import Any
 from camctl.drivers.v4l2.camera import V4l2Camera, V4l2Options
 from camctl.drivers.v4l2.kernel import Kernel
 from camctl.drivers.v4l2.node import Node
+from camctl.drivers.v4l2.recording import record
 from camctl.drivers.v4l2.system import DRIVER, camera_info, node_paths
 from camctl.errors import CameraError, CameraNotFoundError
 from camctl.interface.camera import CameraInfo
@@ -26,6 +27,10 @@ class V4l2Backend:
         """Return the cameras whose nodes can be opened; no stream is started."""
         _check_system()
         return find_cameras()
+
+    def record(self, address: str) -> dict[str, Any]:
+        """Return what the camera says of itself; see `CameraBackend`."""
+        return record(address)
 
     def open(self, address: str, options: Mapping[str, Any]) -> V4l2Camera:
         _check_system()

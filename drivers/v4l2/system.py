@@ -6,6 +6,7 @@ import errno
 import os
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from camctl.drivers.common import device_holders
@@ -31,6 +32,8 @@ _MOST_PROCESSES = 3
 _USB_LEVELS = 3
 #: Bytes of a USB attribute that are read at most; USB strings have up to 126 characters.
 _LONGEST_ATTRIBUTE = 200
+#: The length of all descriptors of a configuration is a number of 16 bits.
+_MOST_DESCRIPTORS = 1 << 16
 _ATTRIBUTES = ("manufacturer", "product", "serial")
 
 _GONE = (CameraDisconnectedError, "it was unplugged", PLUG_IN)
@@ -146,6 +149,17 @@ def _usb_attribute(path: str, name: str, root: Path) -> str:
             continue
         decoded = raw.decode("utf-8", "replace")
         return "".join(letter if letter.isprintable() else " " for letter in decoded).strip()
+    return ""
+
+
+def usb_descriptors(path: str, root: Path = Path("/")) -> str:
+    """Return the descriptors of the USB device that a node belongs to, hexadecimal; "" without.
+
+    They state the numbers of its texts, and not the texts.
+    """
+    for folder in _device_folders(path, root):
+        with suppress(OSError):
+            return (folder / "descriptors").read_bytes()[:_MOST_DESCRIPTORS].hex()
     return ""
 
 

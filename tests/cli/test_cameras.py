@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+from typing import Any
+
 import pytest
 from command_line import Run
 
+import camctl
 from camctl.errors import CameraNotFoundError
 from camctl.interface import backends
 from camctl.interface.camera import CameraInfo
@@ -49,6 +54,33 @@ def test_failed_search_is_a_warning(run: Run, monkeypatch: pytest.MonkeyPatch) -
     assert " ".join(searches.splitlines()[1].split()) == (
         "closed search failed cameras on a closed bus"
     )
+
+
+class RecordedBackend:
+    def discover(self, *, probe: bool = False) -> list[CameraInfo]:
+        return [CameraInfo("usb:/by-id/12345678", "Make", "New", "12345678", "usb")]
+
+    def record(self, address: str) -> dict[str, Any]:
+        assert address == "/by-id/12345678"
+        return {"found": {}}
+
+
+def test_what_cameras_say_is_recorded_without_their_ids(
+    run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    replace_backends(monkeypatch, closed=FailingBackend, serial=SerialBackend, usb=RecordedBackend)
+    file = tmp_path / "cameras.json"
+    assert run("cameras", "--record", file, "--probe").status == 0
+    record = json.loads(file.read_text())
+    assert record == {
+        "format_version": 1,
+        "camctl": camctl.__version__,
+        "cameras": [{"backend": "usb", "found": {}}],
+    }
+    assert run("cameras", "--record", file).status == 1  # it exists
+    assert run("cameras", "--record", file, "--force").status == 0
+    for others in (("--force",), ("--record", file, "--json"), ("--record", file, "--udev-rules")):
+        assert run("cameras", *others).status == 2
 
 
 def test_serial_cameras_are_found_only_with_probe(

@@ -1,0 +1,150 @@
+"""What a camera says when it is opened, packet by packet, to be sent to developers and replayed.
+
+No picture is taken or fetched.  The serial number is hidden wherever it occurs, as are texts that
+the camera keeps, such as the owner's name: their letters and digits become x.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import Any
+
+from camctl.drivers.ptp.camera import PtpCamera
+from camctl.drivers.ptp.codes import Op
+from camctl.drivers.ptp.datasets import DeviceInfo
+from camctl.drivers.ptp.transport import DATA, Container, Transport
+from camctl.errors import CameraError
+
+#: Fewer characters are no name of anybody, and bytes of numbers may look like them.
+_LEAST_TEXT = 4
+#: Texts of PTP are UTF-16 with a zero at the end, those of some makers bytes.  In bytes, eight in a
+#: row are no numbers.
+_UTF16 = re.compile(rb"(?:[\x20-\x7e]\0){%d,}(?=\0\0)" % _LEAST_TEXT)
+_BYTES = re.compile(rb"[\x20-\x7e]{8,}")
+#: Sizes of pictures, which some cameras have as texts.
+_SIZE = re.compile(rb"\d+x\d+")
+
+
+class RecordingTransport:
+    """A `Transport` that keeps what goes through another one.
+
+    Args:
+        transport: the other one
+
+    Attributes:
+        packets: as `Replay` of the tests reads them; each is a dict of one key
+    """
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+        self.packets: list[dict[str, Any]] = []
+        self._hidden: list[bytes] = []
+        self.recover, self.reset, self.close = (
+            transport.recover,
+            transport.reset,
+            transport.close,
+        )
+
+    @property
+    def silence_s(self) -> float:
+        """How long the camera may send nothing."""
+        return self._transport.silence_s
+
+    @silence_s.setter
+    def silence_s(self, value: float) -> None:
+        self._transport.silence_s = value
+
+    def send(
+        self, operation: int, transaction: int, parameters: Sequence[int], data: bytes | None
+    ) -> None:
+        """Send the first phase of a transaction, and keep it."""
+        sent = {"operation": operation, "parameters": list(parameters)}
+        self.packets.append({"sent": sent | ({} if data is None else {"data": data.hex()})})
+        self._operation = operation
+        self._transport.send(operation, transaction, parameters, data)
+
+    def receive(self, transaction: int, *, limit: int) -> Container:
+        """Return the next container of a transaction, and keep it without what is private."""
+        try:
+            found = self._transport.receive(transaction, limit=limit)
+        except CameraError as error:
+            self.packets.append({"failed": type(error).__name__})
+            raise
+        self._keep("received", found)
+        return found
+
+    def event(self, wait_s: float) -> Container | None:
+        """Return the next event, and keep it."""
+        found = self._transport.event(wait_s)
+        if found is not None:
+            self._keep("event", found)
+        return found
+
+    def _keep(self, kind: str, found: Container) -> None:
+        payload = found.payload
+        if found.kind == DATA:
+            is_information = self._operation == Op.GET_DEVICE_INFO
+            if is_information:
+                with suppress(CameraError):
+                    self._hide(DeviceInfo.parse(payload).serial)
+            payload = self._without_private(payload, keep_texts=is_information)
+        self.packets.append({kind: [found.kind, found.code, payload.hex()]})
+
+    def _hide(self, serial: str) -> None:
+        if serial:
+            self._hidden += [serial.encode("utf-16-le"), serial.encode("utf-8")]
+
+    def _without_private(self, data: bytes, *, keep_texts: bool) -> bytes:
+        for each in self._hidden:
+            data = data.replace(each, _masked(each))
+        if keep_texts:
+            return data
+        data = _UTF16.sub(lambda found: _masked(found[0]), data)
+        return _BYTES.sub(lambda found: _masked(found[0]), data)
+
+
+class _RecordedCamera(PtpCamera):
+    """A camera whose connection is recorded."""
+
+    recording: RecordingTransport
+
+    def _connect(self) -> Transport:
+        self.recording = RecordingTransport(super()._connect())
+        return self.recording
+
+
+def record(device: Any, clock: Any = None) -> dict[str, Any]:
+    """Return what a camera says when it is opened and closed, and what was made of it.
+
+    Args:
+        device: a pyusb `Device`
+        clock: of the camera; the system's by default
+    """
+    camera = _RecordedCamera(device, clock=clock)
+    found: Mapping[str, Any]
+    try:
+        with camera:
+            found = {"model": camera.info.model, "times_s": times_of(camera)}
+    except CameraError as error:
+        found = {"error": str(error)}
+    recording = getattr(camera, "recording", None)
+    return {
+        "usb": {"vendor": device.idVendor, "product": device.idProduct},
+        "packets": [] if recording is None else recording.packets,
+        "found": dict(found),
+    }
+
+
+def times_of(camera: PtpCamera) -> list[float]:
+    """Return the shutter times of an open camera, s, for which no picture is needed."""
+    control = camera._dial_controls()[0]
+    return [float(each) for each in control.between(control.minimum, control.maximum, 1000)]
+
+
+def _masked(text: bytes) -> bytes:
+    """Return a text whose letters and digits are x; sizes of pictures stay."""
+    if _SIZE.fullmatch(text.replace(b"\0", b"")):
+        return text
+    return re.sub(rb"[A-Za-z0-9]", b"x", text)
