@@ -57,6 +57,7 @@ CODES: Final[dict[str, str]] = {
     "noise_differs": "effective levels that the pixels show; the known noise predicts others",
     "noise_unknown": "share of the samples whose noise the frames do not show",
     # Photographs already taken; `details` name the files, which need not be frames of the picture.
+    "aligned": "how far what was moved most was moved, pixels",
     "blurred": "contrast over the contrast in the other photographs",
     "copy": "nothing: the second of its frames is the same photograph",
     "damaged": "nothing: the detail `what` says what is wrong with the file",

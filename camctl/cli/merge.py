@@ -72,6 +72,13 @@ class SourceOptions:
         "[default: a border of one pure colour is cut off]",
         FILE,
     )
+    align: str = declare(
+        "--align none|shift|full",
+        "What to do with photographs that do not lie as the others: move them by whole pixels, "
+        "which keeps every level; or by a homography, which mends turns, too, and interpolates.",
+        Name("alignment", ("none", "shift", "full")),
+        default="shift",
+    )
     colour: str = declare(
         "--colour bt709|camera",
         "Colours of the pictures: linear light of the primaries of BT.709 (sRGB), with the white "

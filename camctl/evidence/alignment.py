@@ -83,7 +83,7 @@ def displacement(short: _Floats, long: _Floats) -> _Vector | None:
     cv2 = required_opencv("merging photographs")
     if min(short.shape) < 24:
         return None
-    matched, usable = _matched(short, long)
+    matched, usable = brightness_matched(short, long)
     if np.count_nonzero(usable) < _LEAST_POINTS:
         return None
     blurred = cv2.GaussianBlur(short, (0, 0), _BLUR)
@@ -102,7 +102,7 @@ def displacement(short: _Floats, long: _Floats) -> _Vector | None:
     return _judged(levels[0], fits[0])
 
 
-def _matched(short: _Floats, long: _Floats) -> tuple[_Floats, _Mask]:
+def brightness_matched(short: _Floats, long: _Floats) -> tuple[_Floats, _Mask]:
     """Return the longer exposure with the brightness of the shorter one, and where it is valid."""
     indices = [np.minimum(each * _RANKS, _RANKS - 1).astype(np.int32) for each in (short, long)]
     counts = [np.bincount(each.ravel(), minlength=_RANKS) for each in indices]

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 OPTIONS: Final[dict[str, str]] = {
     "accuracy": "--accuracy",
+    "align": "--align",
     "base_s": "--base",
     "black": "--black",
     "clip_percent": "--clip",

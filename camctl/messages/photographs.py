@@ -56,7 +56,7 @@ def _shifted(finding: Finding) -> str:
     how[0] = how[0].replace(" by ", f" against {details['other']} by ", 1)
     text = f"{details['file']} is {' and '.join(how)}"
     if details.get("left_out"):
-        return f"{text}, and is left out: align it with the others to use it"
+        return f"{text}, and is left out: align it to use it"
     if details.get("summed"):
         return f"{text}, and the picture will be blurred: align the photographs first"
     why = "it is the only one used" if details.get("used") else "it is not used"
@@ -197,7 +197,18 @@ def _part_differs(finding: Finding) -> str:
     )
 
 
+def _aligned(finding: Finding) -> str:
+    details: dict[str, Any] = finding.details
+    count = f"{details['count']} of {details['of']} photographs"
+    if details["by"] == "shift":
+        how = "moved by whole pixels"
+    else:
+        how = "moved by a homography, which interpolates their samples"
+    return f"{count} were {how}, by up to {finding.value:.0f} pixels, onto the others"
+
+
 SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
+    "aligned": _aligned,
     "blurred": lambda finding: (
         f"{finding.details['file']} is less sharp than the others (out of focus, or shaken), and "
         "is left out"

@@ -22,7 +22,7 @@ _SIDE = 768
 #: A displacement counts from so many pixels of the photographs, and of their grey copies.
 _DISPLACED, _DISPLACED_IN_COPY = 1.3, 0.15
 #: Fine structure that is in the same place is displaced by less than this, pixels.
-_FINE = 8.0
+NEARLY = 8.0
 #: Share of the longer side by which photographs of one view are displaced at most.
 _ALIGNABLE = 0.1
 
@@ -52,36 +52,53 @@ class Sight:
         """Return the sight of a photograph's pixels; raises `UsageError` without OpenCV."""
         required_opencv("merging photographs")
         digest = hashlib.sha256(np.ascontiguousarray(pixels).data).digest()
-        grey = pixels[..., 1] if pixels.ndim == 3 else pixels
-        scale = max(1.0, max(grey.shape) / _SIDE)
-        size = (max(1, round(grey.shape[1] / scale)), max(1, round(grey.shape[0] / scale)))
-        small = reduced_by_area(grey, size)
-        copy = np.float32(1 / white) * np.asarray(small, np.float32)
+        copy, scale = grey_copy(pixels, white, _SIDE)
         is_even = bool((pixels == pixels.flat[0]).all())
         return cls(photograph, digest, copy, scale, is_even)
 
 
+def grey_copy(pixels: Pixels, white: int, side: int) -> tuple[NDArray[np.float32], float]:
+    """Return a grey copy of at most so many pixels a side, 0 to 1, and how many become one."""
+    grey = pixels[..., 1] if pixels.ndim == 3 else pixels
+    scale = max(1.0, max(grey.shape) / side)
+    size = (max(1, round(grey.shape[1] / scale)), max(1, round(grey.shape[0] / scale)))
+    small = reduced_by_area(grey, size)
+    return np.float32(1 / white) * np.asarray(small, np.float32), scale
+
+
+Chain = list[tuple[int, _Place]]
+"""Positions of photographs that can be compared one after the other, in ascending brightness, each
+with its place on the first one: as `displacement` returns it."""
+
+
 def misaligned(
-    sights: Sequence[Sight],
-    alike: Collection[frozenset[int]] = (),
-    other_views: Collection[int] = (),
+    sights: Sequence[Sight], chains: Sequence[Chain], other_views: Collection[int] = ()
 ) -> dict[int, Finding]:
     """Return by position how each photograph lies that does not lie where most of the others do.
 
     Args:
         sights: of the photographs
-        alike: pairs of positions of photographs whose fine structure is in the same place, so that
-            a large displacement comes from a thing that moved
+        chains: of them, see `chains_of`
         other_views: positions of photographs with other structure than most: a large displacement
             of them is a chance likeness, and not returned
     """
+    return dict(line for chain in chains for line in _misplaced(sights, chain, other_views))
+
+
+def chains_of(sights: Sequence[Sight], alike: Collection[frozenset[int]] = ()) -> list[Chain]:
+    """Return the places of photographs.
+
+    Args:
+        sights: of them
+        alike: pairs of positions of photographs whose fine structure is in the same place, so that
+            a large displacement comes from a thing that moved
+    """
     order = sorted(range(len(sights)), key=lambda k: float(sights[k].grey.mean()))
-    # Photographs that can be compared one after the other, each with its place on the first one.
-    chains = [[(order[0], np.zeros(4))]] if order else []
+    chains: list[Chain] = [[(order[0], np.zeros(4))]] if order else []
     for one, other in pairwise(order):
         found = displacement(sights[one].grey, sights[other].grey)
         if found is not None and frozenset((one, other)) in alike:
-            found = found * (_extent(found, sights[one]) < _FINE / sights[one].scale)
+            found = found * (_extent(found, sights[one]) < NEARLY / sights[one].scale)
         if found is None:
             chains.append([(other, np.zeros(4))])
             continue
@@ -92,7 +109,24 @@ def misaligned(
             if direct is not None:
                 found, place = direct, chains[-1][-2][1]
         chains[-1].append((other, place + found))
-    return dict(line for chain in chains for line in _misplaced(sights, chain, other_views))
+    return chains
+
+
+def usual_place(sights: Sequence[Sight], chain: Chain) -> tuple[_Place, list[int]]:
+    """Return the place of most photographs of a chain, and the positions of those."""
+    first = sights[chain[0][0]]
+    limit = _limit(first)
+
+    def alike(place: _Place) -> list[int]:
+        return [k for k, other in chain if _extent(other - place, first) < limit]
+
+    usual = max((place for _, place in chain), key=lambda place: len(alike(place)))
+    return usual, alike(usual)
+
+
+def _limit(sight: Sight) -> float:
+    """Return from where on a displacement counts, pixels of the grey copy."""
+    return max(_DISPLACED / sight.scale, _DISPLACED_IN_COPY)
 
 
 def _extent(place: _Place, sight: Sight) -> float:
@@ -103,17 +137,12 @@ def _extent(place: _Place, sight: Sight) -> float:
 
 
 def _misplaced(
-    sights: Sequence[Sight], chain: Sequence[tuple[int, _Place]], other_views: Collection[int]
+    sights: Sequence[Sight], chain: Chain, other_views: Collection[int]
 ) -> list[tuple[int, Finding]]:
     """Return the position of each photograph that is not in the place of most, and how it lies."""
     first = sights[chain[0][0]]
-    limit = max(_DISPLACED / first.scale, _DISPLACED_IN_COPY)
-
-    def alike(place: _Place) -> list[int]:
-        return [k for k, other in chain if _extent(other - place, first) < limit]
-
-    usual = max((place for _, place in chain), key=lambda place: len(alike(place)))
-    others = alike(usual)
+    limit = _limit(first)
+    usual, others = usual_place(sights, chain)
     found = []
     for k, place in chain:
         extent = _extent(place - usual, first)
@@ -124,7 +153,10 @@ def _misplaced(
         near = min(others, key=lambda o: abs(math.log(sights[o].photograph.exposure / exposure)))
         other: dict[str, Detail] = {"other": sights[near].photograph.name}
         details, value = other | _described(place - usual, first, limit), extent * first.scale
-        found.append((k, Finding(code="shifted", frames=(k,), value=value, details=details)))
+        finding = Finding(
+            code="shifted", frames=(k,), value=value, details=details, remedies={"align": "full"}
+        )
+        found.append((k, finding))
     return found
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -17,6 +17,7 @@ from camctl.interface.camera import Pixels
 from camctl.interface.colour import BT709, CameraColour
 from camctl.interface.controls import Layout
 from camctl.photographs.camera import Photograph
+from camctl.photographs.moves import Move, overlap
 from camctl.stills.exif import StatedExposure
 from camctl.stills.files import check_times, read_photograph, unknown_time
 from camctl.stills.radiance_map import read_map
@@ -85,6 +86,7 @@ class PhotographFiles:
         self._paths = tuple(paths)
         self._times = None if times is None else tuple(map(float, times))
         self._kept: dict[int, Pixels] = {}
+        self._moves: dict[int, Move] = {}
         self._full = _largest_of_exr(self._paths)
         self.photographs: list[Photograph] = []
         found: Format | None = None
@@ -114,8 +116,29 @@ class PhotographFiles:
     def pixels(self, position: int) -> Pixels:
         """Return the pixels of a file."""
         if position not in self._kept:
-            self._keep(position, self._read(position)[0])
+            pixels = self._read(position)[0]
+            if (move := self._moves.get(position)) is not None:
+                pixels = move.applied(pixels, self.format.layout, self.format.white)
+            self._keep(position, pixels)
         return self._kept[position]
+
+    def move(self, moves: Mapping[int, Move]) -> None:
+        """Move the pixels of some files from now on."""
+        self._moves = dict(moves)
+        for position in moves:
+            self._kept.pop(position, None)
+
+    @property
+    def moved(self) -> tuple[int, ...]:
+        """Positions of the files that are moved."""
+        return tuple(self._moves)
+
+    @property
+    def shown_by_all(self) -> tuple[slice, slice]:
+        """Rows and columns that every file shows."""
+        if not self._moves:
+            return slice(0, self.format.shape[0]), slice(0, self.format.shape[1])
+        return overlap(list(self._moves.values()), self.format.shape)
 
     def _keep(self, position: int, pixels: Pixels) -> None:
         while self._kept and sum(each.nbytes for each in self._kept.values()) > _KEPT_BYTES:

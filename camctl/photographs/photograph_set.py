@@ -31,6 +31,7 @@ from camctl.photographs.camera import (
 )
 from camctl.photographs.files import PhotographFiles
 from camctl.photographs.labels import check_reversed, doubted_labels, wrong_labels
+from camctl.photographs.moves import aligned_finding, moves_of
 from camctl.photographs.ratios import corrected_exposures, neighbours_differ
 from camctl.photographs.response import (
     ASSUMED,
@@ -38,7 +39,7 @@ from camctl.photographs.response import (
     OF_THEIR_EXPOSURES,
     known_controls,
 )
-from camctl.photographs.selection import Selection, distinct, of_one_colour, of_one_view
+from camctl.photographs.selection import Selection, Views, distinct, of_one_colour, of_one_view
 from camctl.photographs.valid_area import ValidArea
 from camctl.system.number_text import time_text
 
@@ -65,6 +66,8 @@ class PhotographOptions:
             profile of the camera that the files name, or estimated
         mask: file of a picture that is black where the photographs are not valid; None: a border
             of one pure colour is cut off
+        align: what is done with photographs that do not lie as most do: "shift": they are moved by
+            whole pixels; "full": by a homography, which interpolates; "none"
         colour: of the pictures: "bt709": linear BT.709, with the white balance of the first
             photograph, where the files say what their colours are; "camera": as in the files
     """
@@ -75,6 +78,7 @@ class PhotographOptions:
     white: int | None = None
     curve: str | None = None
     mask: str | None = None
+    align: str = "shift"
     colour: str = "bt709"
 
     @property
@@ -124,18 +128,15 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     given = files.photographs
     photographs, unstated = with_all_stated(given)
     photographs, facts = _with_labels(photographs, source)
-    _, white = _levels(files, source)
-    area = ValidArea.of(files, source.mask)
-    facts += area.facts
-    sights = [
-        Sight.of(photograph, area.seen(files.pixels(k)), white)
-        for k, photograph in enumerate(photographs)
-    ]
     notes = list(files.notes)
-    kept = distinct(sights, notes)
+    seen = _Seen.of(files, photographs, source, notes)
     notes += [*unstated, *flashes(photographs)]
-    selection = _selection(files, photographs, kept, area, source)
-    selection, displaced = of_one_view(selection, [sights[k] for k in kept], notes)
+    if source.align != "none" and (moved := _moved(files, seen, source)) is not None:
+        facts.append(moved)
+        seen = _Seen.of(files, photographs, source, [])
+    area = seen.area
+    facts += area.facts
+    selection, displaced = of_one_view(seen.selection, seen.views, notes, files.moved)
     series = selection.series
     if source.labels == "pixels":
         selection = _with_rough_exposures(selection)
@@ -173,6 +174,65 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         tuple(named(each, given) for each in notes),
         {place: named(displaced[k], given) for place, k in enumerate(right) if k in displaced},
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What all photographs show, in the place where they lie.
+
+    Attributes:
+        area: what of them is valid
+        sights: of those that are no copies
+        selection: those
+        views: what they show of each other
+    """
+
+    area: ValidArea
+    sights: list[Sight]
+    selection: Selection
+    views: Views
+
+    @classmethod
+    def of(
+        cls,
+        files: PhotographFiles,
+        photographs: Sequence[Photograph],
+        source: PhotographOptions,
+        notes: list[Finding],
+    ) -> _Seen:
+        """Look at photographs; findings are added to `notes`."""
+        _, white = _levels(files, source)
+        area = ValidArea.of(files, source.mask)
+        sights = [
+            Sight.of(photograph, area.seen(files.pixels(k)), white)
+            for k, photograph in enumerate(photographs)
+        ]
+        kept = distinct(sights, notes)
+        selection = _selection(files, photographs, kept, area, source)
+        sights = [sights[k] for k in kept]
+        return cls(area, sights, selection, Views.of(selection, sights))
+
+
+def _moved(files: PhotographFiles, seen: _Seen, source: PhotographOptions) -> Finding | None:
+    """Move the photographs that do not lie as most do; return that they were moved, None if not."""
+    if not seen.views.displaced:
+        return None
+    positions = seen.selection.positions
+    _, white = _levels(files, source)
+    moves = moves_of(
+        seen.sights,
+        seen.views.chains,
+        lambda k: seen.area.seen(files.pixels(positions[k])),
+        white,
+        files.format.layout,
+        full=source.align == "full",
+    )
+    if not moves:
+        return None
+    part = seen.area.rows, seen.area.columns
+    found = {positions[k]: move.in_whole(*part) for k, move in moves.items()}
+    files.move(found)
+    return aligned_finding(found, len(positions), files.format.shape)
 
 
 def _with_exposures(

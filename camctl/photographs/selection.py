@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 from camctl.calibration.response.series import Series
 from camctl.errors import DataError, UsageError
-from camctl.evidence.views import likenesses, unlike_each_other, unlike_others
+from camctl.evidence.views import Likeness, likenesses, unlike_each_other, unlike_others
 from camctl.findings import Finding
 from camctl.interface.controls import ExposureControls, Layout
 from camctl.model.sensor import SensorModel
-from camctl.photographs.alignment import Sight, misaligned
+from camctl.photographs.alignment import NEARLY, Chain, Sight, chains_of, misaligned
 from camctl.photographs.camera import Photograph, at, detailed
 from camctl.photographs.labels import SAME_EXPOSURE
 from camctl.photographs.ratios import odd_colours
@@ -79,32 +79,66 @@ def _check_copy(one: Photograph, other: Photograph) -> None:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class Views:
+    """What photographs show of each other.
+
+    Attributes:
+        likenesses: of pairs of them
+        unlike: findings, by place, of those that show something else
+        chains: the places of those that can be compared
+        displaced: findings, by place, of those that do not lie where most do
+    """
+
+    likenesses: dict[tuple[int, int], Likeness]
+    unlike: dict[int, Finding]
+    chains: list[Chain]
+    displaced: dict[int, Finding]
+
+    @classmethod
+    def of(cls, selection: Selection, sights: Sequence[Sight]) -> Views:
+        """Compare photographs, of which these are the sights."""
+        series = selection.series
+        found = likenesses(series.patches, len(series.colours()), series.black, series.white)
+        unlike = unlike_others(found, len(sights))
+        chains = chains_of(
+            sights, {frozenset(pair) for pair, each in found.items() if each.is_same}
+        )
+        return cls(found, unlike, chains, misaligned(sights, chains, unlike))
+
+
 def of_one_view(
-    selection: Selection, sights: Sequence[Sight], notes: list[Finding]
+    selection: Selection, views: Views, notes: list[Finding], moved: Collection[int] = ()
 ) -> tuple[Selection, dict[int, Finding]]:
     """Return the photographs that show what most do in the same place, equally sharp.
 
     Args:
         selection: the photographs
-        sights: of them
+        views: of them
         notes: findings, to which this adds one for each of the others
+        moved: positions of those that were moved: they are kept where they nearly lie as the others
 
     Returns:
         those photographs, and by place among them how they lie if most do not lie alike
     """
-    series, count = selection.series, len(sights)
-    found = likenesses(series.patches, len(series.colours()), series.black, series.white)
-    unlike = unlike_others(found, count)
-    alike = {frozenset(pair) for pair, each in found.items() if each.is_same}
-    displaced = misaligned(sights, alike, unlike)
+    count, found, unlike = len(selection.photographs), views.likenesses, views.unlike
+    displaced = views.displaced
     if not displaced and (pair := unlike_each_other(found, count)) is not None:
         finding = Finding(code="other_view", frames=pair, value=found[pair].agreeing)
         notes.append(at(finding, selection.positions))
+    nearly = {
+        k: at(each, selection.positions)
+        for k, each in displaced.items()
+        if selection.positions[k] in moved and (each.value or 0.0) < NEARLY and k not in unlike
+    }
+    displaced = {k: each for k, each in displaced.items() if k not in nearly}
     odd = unlike | displaced
     if len(odd) >= count / 2:
-        return selection, {k: at(each, selection.positions) for k, each in displaced.items()}
+        others = {k: at(each, selection.positions) for k, each in displaced.items()}
+        return selection, nearly | others
     notes += [detailed(at(each, selection.positions), left_out=True) for each in odd.values()]
-    return selection.without(odd), {}
+    kept = [k for k in range(count) if k not in odd]
+    return selection.without(odd), {kept.index(k): each for k, each in nearly.items()}
 
 
 def of_one_colour(

@@ -54,13 +54,18 @@ class ValidArea:
         """
         shape = files.format.shape[:2]
         step = 2 if files.format.layout.is_mosaic else 1  # colours of the pattern stay in place
+        inner = files.shown_by_all
         if mask is not None:
-            return cls._of_mask(_read_mask(mask, shape), step)
+            masked = _read_mask(mask, shape)
+            masked |= _outside(inner, shape)
+            return cls._of_mask(masked, step)
         invalid = np.zeros(shape, np.bool_)
         for position in range(len(files.photographs)):
             invalid |= invalid_border(files.pixels(position))
-        if not invalid.any():
-            return cls(slice(None), slice(None), None, None, ())
+        if not invalid[inner].any():
+            rows, columns = (_from_even(each, step) for each in inner)
+            return cls(rows, columns, None, None, ())
+        invalid |= _outside(inner, shape)
         rows, columns = (_from_even(each, step) for each in largest_rectangle(~invalid))
         fact = _masked(invalid, rows, columns, by="border")
         return cls(rows, columns, None, None, (fact,))
@@ -97,6 +102,12 @@ class ValidArea:
         part = pixels[self.rows, self.columns]
         cut: NDArray[Any] = np.ascontiguousarray(part) if self.invalid is None else part.copy()
         return cut
+
+
+def _outside(inner: tuple[slice, slice], shape: Sequence[int]) -> NDArray[np.bool_]:
+    found = np.ones(tuple(shape), np.bool_)
+    found[inner] = False
+    return found
 
 
 def _from_even(lines: slice, step: int) -> slice:

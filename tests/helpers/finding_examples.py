@@ -123,6 +123,13 @@ _PHOTOGRAPHS = (
         details={"files": "e.jpg, f.jpg", "count": 2, "left_out": False},
     ),
     Finding(
+        code="aligned",
+        frames=(0,),
+        value=14.3,
+        details={"count": 1, "of": 3, "by": "shift"},
+        remedies={"align": "none"},
+    ),
+    Finding(
         code="masked",
         value=0.02,
         place=Place(top=32, left=4, bottom=748, right=505),

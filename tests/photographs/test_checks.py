@@ -9,11 +9,16 @@ import pytest
 from numpy.typing import NDArray
 from sampling import some
 
+from camctl.findings import Finding
 from camctl.model.response.camera import standard_response
-from camctl.photographs.alignment import Sight, misaligned
+from camctl.photographs.alignment import Sight, chains_of, misaligned
 from camctl.photographs.camera import Photograph, with_all_stated
 
 Light = NDArray[np.float32]
+
+
+def misplaced(sights: list[Sight]) -> dict[int, Finding]:
+    return misaligned(sights, chains_of(sights))
 
 
 def test_a_shift_is_that_of_the_whole_picture_where_tiles_have_lines_of_one_direction() -> None:
@@ -31,7 +36,7 @@ def test_a_shift_is_that_of_the_whole_picture_where_tiles_have_lines_of_one_dire
         light = np.roll(scene, shift, (0, 1)) * photograph.time_s
         noisy = np.clip(np.rint(light + rng.normal(0, 2, scene.shape)), 0, 255)
         sights.append(Sight.of(photograph, noisy.astype(np.uint8), 255))
-    (found,) = misaligned(sights).values()
+    (found,) = misplaced(sights).values()
     assert found.frames == (1,)
     assert found.details == {"other": "a", "columns": 9, "rows": 5}
     assert found.value == pytest.approx(np.hypot(9, 5), abs=0.2)
@@ -75,14 +80,14 @@ def bracket(shifted: int | None, columns: int = 9) -> list[Sight]:
 @pytest.mark.parametrize("shifted", some([0, 1, 2, 3], every=2))
 def test_the_photograph_that_is_not_where_the_others_are_is_named(shifted: int) -> None:
     pytest.importorskip("cv2", reason="OpenCV is blocked")
-    (found,) = misaligned(bracket(shifted)).values()
+    (found,) = misplaced(bracket(shifted)).values()
     assert found.code == "shifted"
     assert (found.frames, found.details["columns"]) == ((shifted,), 9)
 
 
 def test_noise_is_no_shift() -> None:
     pytest.importorskip("cv2", reason="OpenCV is blocked")
-    assert misaligned(bracket(None)) == {}
+    assert misplaced(bracket(None)) == {}
 
 
 def smooth_bracket(
@@ -121,7 +126,7 @@ def test_a_shift_of_a_smooth_photograph_is_named(shifted: int, columns: int, row
     def shift(k: int, scene: Light) -> Light:
         return np.roll(scene, (rows, columns), (0, 1)) if k == shifted else scene
 
-    (found,) = misaligned(smooth_bracket(shift)).values()
+    (found,) = misplaced(smooth_bracket(shift)).values()
     assert (found.code, found.frames) == ("shifted", (shifted,))
     assert found.details.keys() == {"other", "columns", "rows"}
     place = found.details["columns"], found.details["rows"]
@@ -152,7 +157,7 @@ def test_a_turned_or_enlarged_photograph_is_named(
         matrix = cv2.getRotationMatrix2D(middle, -degrees, zoom)  # positive is anticlockwise there
         return np.asarray(cv2.warpAffine(scene, matrix, scene.shape[::-1]))
 
-    (found,) = misaligned(smooth_bracket(change)).values()
+    (found,) = misplaced(smooth_bracket(change)).values()
     assert (found.frames, found.details["other"]) == ((2,), "p1")
     assert found.details[what] == pytest.approx(value, abs=0.05)
     assert found.details.keys().isdisjoint({"degrees", "percent"} - {what})
@@ -166,7 +171,7 @@ def test_a_thing_that_moves_is_no_shift() -> None:
         changed[180:260, left + 30 : left + 110] = 2.0
         return changed
 
-    assert misaligned(smooth_bracket(move)) == {}
+    assert misplaced(smooth_bracket(move)) == {}
 
 
 def test_the_neighbours_of_a_turned_photograph_are_not_turned() -> None:
@@ -177,4 +182,4 @@ def test_the_neighbours_of_a_turned_photograph_are_not_turned() -> None:
         matrix = cv2.getRotationMatrix2D(middle, -5.0, 1.0)
         return np.asarray(cv2.warpAffine(scene, matrix, scene.shape[::-1])) if k == 1 else scene
 
-    assert list(misaligned(smooth_bracket(change))) == [1]
+    assert list(misplaced(smooth_bracket(change))) == [1]

@@ -182,7 +182,7 @@ def test_a_shifted_photograph_is_left_out(opened: Opened, suffix: str) -> None:
     def shift(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
         return np.roll(pixels, (5, -7), axis=(0, 1)) if k == 4 else pixels
 
-    found = opened(TIMES[1:7], suffix=suffix, change=shift)
+    found = opened(TIMES[1:7], suffix=suffix, change=shift, options={"align": "none"})
     (shifted,) = found.notes
     assert (shifted.code, shifted.frames) == ("shifted", (4,))
     assert (shifted.details["columns"], shifted.details["rows"]) == (-7, 5)
@@ -194,7 +194,7 @@ def test_photographs_of_which_each_is_shifted_are_all_used(opened: Opened) -> No
     def shift(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
         return np.roll(pixels, (3 * k, 2 * k), axis=(0, 1))
 
-    found = opened(TIMES[2:6], change=shift)
+    found = opened(TIMES[2:6], change=shift, options={"align": "none"})
     assert found.notes == ()
     assert list(found.displaced) == [1, 2, 3]
     assert {each.details["other"] for each in found.displaced.values()} == {"p00.png"}
