@@ -80,6 +80,8 @@ class ExposurePipeline(Generic[DataT]):
         delay: of its exposure control
         brightness: mean brightness of a frame as a share of full scale, such as `mean_brightness`;
             needed unless the delay is guaranteed, to see when an exposure has settled
+        proves: whether a frame proves by itself that it has a setting; the stream does not wait
+            for more frames then, where its delay is not constant
 
     Attributes:
         delay: of all controls, from the next list of settings on
@@ -90,7 +92,9 @@ class ExposurePipeline(Generic[DataT]):
         source: NumberedSource[DataT],
         delay: ControlDelay,
         brightness: Callable[[DataT], float] | None = None,
+        proves: Callable[[DataT, ExposureSetting], bool] | None = None,
     ) -> None:
+        self._proves = proves
         self._source = source
         self.delay = self._delay = delay
         self._written: ExposureSetting | None = None  # the last setting
@@ -222,19 +226,27 @@ class ExposurePipeline(Generic[DataT]):
             yield shot
 
     def _settled(self, written: _Pending) -> Shot[DataT]:
-        """Return the first frame after the delay, or the second of two that are equally bright."""
+        """Return a frame that proves its setting, or the first frame after the delay.
+
+        Unless the delay is guaranteed, that is the second of two that are equally bright.
+        """
         previous: tuple[int, float] | None = None
         looked_at = 0
         while looked_at < _ATTEMPTS:
             stamp = self._source.next_frame()
-            if stamp.number < written.latest:
+            is_early = stamp.number < written.latest
+            if stamp.number < written.earliest or (is_early and self._proves is None):
                 continue
-            looked_at += 1
+            looked_at += not is_early
             data = self._source.read() if stamp.is_certain else None
             if data is None:
                 previous = None
                 continue
             shot = Shot(written.index, written.applied, stamp.time_s, data)
+            if self._proves is not None and self._proves(data, written.applied):
+                return shot
+            if is_early:
+                continue
             if self._brightness is None or self._delay.origin is DelayOrigin.GUARANTEED:
                 return shot
             light = self._brightness(data)

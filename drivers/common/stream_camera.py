@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Generic, TypeVar
 
-from camctl.interface.camera import CameraBase, Frame, MeasuredDelay, Pixels
+from camctl.interface.camera import CameraBase, Frame, MeasuredDelay
 from camctl.interface.controls import ExposureSetting
 from camctl.streaming import (
     ControlDelay,
@@ -16,11 +17,16 @@ from camctl.streaming import (
     with_delay,
 )
 
+DataT = TypeVar("DataT")
 
-class StreamCamera(CameraBase):
-    """A `PreviewingCamera` and a `CyclingCamera`: `_open` starts a stream and sets `_pipeline`."""
 
-    _pipeline: ExposurePipeline[Pixels]
+class StreamCamera(CameraBase, Generic[DataT]):
+    """A `PreviewingCamera` and a `CyclingCamera`: `_open` starts a stream and sets `_pipeline`.
+
+    `DataT` is what its stream delivers as a frame.
+    """
+
+    _pipeline: ExposurePipeline[DataT]
 
     def preview(self, setting: ExposureSetting) -> Frame:
         """Return one frame at `setting`, for metering; raises as `shoot` does."""
@@ -30,7 +36,7 @@ class StreamCamera(CameraBase):
         finally:
             frames.close()
 
-    def cycle(self, settings: Sequence[ExposureSetting]) -> StreamCycle[Pixels]:
+    def cycle(self, settings: Sequence[ExposureSetting]) -> StreamCycle[DataT]:
         """Return frames without end; see `camctl.interface.cycle.CyclingCamera`."""
         endless = ExposureCycle.of(self._pipeline, self._checked(settings))
         self._is_shooting = True
@@ -52,7 +58,7 @@ class StreamCamera(CameraBase):
             yield self._frame(shot, settings[shot.index])
             self._check_open()
 
-    def _frame(self, shot: Shot[Pixels], requested: ExposureSetting) -> Frame:
+    def _frame(self, shot: Shot[DataT], requested: ExposureSetting) -> Frame:
         """Return the frame of a shot.
 
         Raises:

@@ -64,7 +64,7 @@ class OpencvOptions(ResponseOptions):
     longest: _Seconds = None
 
 
-class OpencvCamera(StreamCamera):
+class OpencvCamera(StreamCamera[Pixels]):
     """A camera or stream that OpenCV reads; a `PreviewingCamera` of `camctl.interface.camera`.
 
     Args:

@@ -13,9 +13,10 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, StringConstraints
 
+from camctl.drivers.common.gain_unit import GainUnit, parse_gain
 from camctl.drivers.common.stream_camera import StreamCamera
 from camctl.drivers.v4l2.capture import Capture, StreamMode, choose_mode
-from camctl.drivers.v4l2.controls import ExposureControl, GainUnit, parse_gain
+from camctl.drivers.v4l2.controls import ExposureControl
 from camctl.drivers.v4l2.formats import SampleScale, choose_format, sample_scale
 from camctl.drivers.v4l2.kernel import Kernel
 from camctl.drivers.v4l2.node import Node
@@ -70,7 +71,7 @@ class V4l2Options(BackendOptions):
     response: _Word = "auto"
 
 
-class V4l2Camera(StreamCamera):
+class V4l2Camera(StreamCamera[Pixels]):
     """A V4L2 camera; a `PreviewingCamera` and a `StreamingCamera` of `camctl.interface.camera`.
 
     The constructor does no I/O; `open` starts the stream and raises the errors below.

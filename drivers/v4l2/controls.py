@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-import re
 from contextlib import suppress
 from dataclasses import dataclass
 
+from camctl.drivers.common.gain_unit import GAIN_LIMIT, GainUnit
 from camctl.drivers.v4l2.abi import MANUAL_EXPOSURE, ControlId
 from camctl.drivers.v4l2.node import ControlRange, Node
 from camctl.errors import (
@@ -24,45 +24,7 @@ from camctl.interface.controls import Choices, ExposureSetting, Steps
 TICKS_PER_S = 10_000.0
 #: Gain steps that are listed at most; registers of real sensors have fewer.
 _MOST_GAIN_STEPS = 4096
-#: Linear gains from here on are not offered: no sensor has them.
-_GAIN_LIMIT = 1e4
-#: Decades of gain up to which 10 ** decades is computed: a float overflows above 308.
-_MOST_DECADES = 300
 _REPLUG = "unplug it, plug it in again and try again"
-
-
-@dataclass(frozen=True)
-class GainUnit:
-    """What one step of a gain control adds.
-
-    Attributes:
-        is_decibel: `step` is in dB (20 log10 of the linear gain); else it is linear
-        step: what each step above the lowest adds
-    """
-
-    is_decibel: bool
-    step: float
-
-    def gain(self, steps: int) -> float:
-        """Return the linear gain `steps` above the lowest, which is 1."""
-        added = self.step * steps
-        return 10 ** min(added / 20, _MOST_DECADES) if self.is_decibel else 1 + added
-
-
-def parse_gain(value: object) -> object:
-    """Return the `GainUnit` of "linear:STEP" or "db:STEP", and any other object as it is.
-
-    Raises:
-        ValueError: a text that is neither
-    """
-    if not isinstance(value, str):
-        return value
-    match = re.fullmatch(r"(linear|db):(\d*\.?\d+(?:e-?\d+)?)", value.strip().lower(), re.ASCII)
-    if match is None or not 0 < float(match[2]) <= _GAIN_LIMIT:
-        raise ValueError(
-            "give what one step of the camera's gain adds, such as linear:0.0625 or db:0.1"
-        )
-    return GainUnit(match[1] == "db", float(match[2]))
 
 
 @dataclass(frozen=True)
@@ -350,7 +312,5 @@ def _gain_registers(control: ControlRange, unit: GainUnit) -> dict[float, int]:
     steps = min((control.maximum - control.minimum) // control.step, _MOST_GAIN_STEPS)
     gains = [(unit.gain(number), number) for number in range(steps + 1)]
     return {
-        gain: control.minimum + number * control.step
-        for gain, number in gains
-        if gain < _GAIN_LIMIT
+        gain: control.minimum + number * control.step for gain, number in gains if gain < GAIN_LIMIT
     }

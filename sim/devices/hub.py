@@ -44,6 +44,7 @@ KINDS: Mapping[str, str] = {
     "ptp": "camctl.sim.devices.ptp.camera",
     "ptpip": "camctl.sim.devices.ptp.network",
     "sierra": "camctl.sim.devices.sierra.device",
+    "gige": "camctl.sim.devices.gige.camera",
 }
 _SERIAL_KINDS = ("sierra",)
 

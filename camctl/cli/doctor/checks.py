@@ -70,6 +70,7 @@ EXTRAS: Final = {
     "raw": ("rawpy", "camera raw files"),
     "gphoto2": ("gphoto2", "the cameras of libgphoto2"),
     "libcamera": ("picamera2", "cameras of the Raspberry Pi"),
+    "genicam": ("viva-genicam", "machine-vision cameras where Aravis is not installed"),
     "plots": ("matplotlib", "plots"),
     "studies": ("scipy", "other methods in camctl tradeoff solver"),
     "fast": ("numba", "a faster simulated camera"),

@@ -75,7 +75,9 @@ def time_costs(
     if usual == 0:
         extra_s = timing.settling_s + readout_s
         if not timing.overlaps:
-            return TimeCosts(extra=extra_s + download_s)
+            # A camera that is triggered takes frames that are not used until a setting has settled.
+            frames = 1 + timing.old_frames + timing.unsettled_frames
+            return TimeCosts(frames, extra=frames * (extra_s + download_s))
         # No download runs during the first exposure.
         least_s = max(0.0, download_s - readout_s)
         return TimeCosts(1.0, least_s, extra_s, download_s - max(0.0, least_s - shortest_s))

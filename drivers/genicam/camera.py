@@ -1,0 +1,601 @@
+"""Machine-vision cameras that speak GenICam, on GigE Vision or USB3 Vision.
+
+A frame is released by software where the camera allows it, and else taken from a free run.  In both
+the control delay says which frame has which setting; what the camera states in its chunk data is
+compared with that, and the pixels decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from statistics import median
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, Field, StringConstraints
+
+from camctl.drivers.common.gain_unit import GainUnit, parse_gain
+from camctl.drivers.common.stream_camera import StreamCamera
+from camctl.drivers.genicam import sequencer
+from camctl.drivers.genicam.controls import TOLERANCE, US_PER_S, ExposureControl
+from camctl.drivers.genicam.evidence import Scale, StatedExposures, first_in_order
+from camctl.drivers.genicam.formats import PixelFormat, choose_format
+from camctl.drivers.genicam.libraries import DRIVER, camera_info
+from camctl.drivers.genicam.port import (
+    CHUNKS,
+    FeatureError,
+    FoundDevice,
+    Kind,
+    Library,
+    Limits,
+    OpenDevice,
+    Received,
+)
+from camctl.drivers.genicam.slots import (
+    FreeRunFrames,
+    TriggeredSlots,
+    silent,
+    wait_for_frame,
+)
+from camctl.errors import CameraError, CameraProtocolError, UsageError
+from camctl.findings import Finding, note
+from camctl.interface.backends import BackendOptions, LowerCase
+from camctl.interface.camera import CameraInfo, Frame, MeasuredDelay, Pixels
+from camctl.interface.clock import CaptureTiming, Clock, RealClock
+from camctl.interface.controls import (
+    ExposureControls,
+    ExposureSetting,
+    Layout,
+    ResponseOrigin,
+)
+from camctl.model.response.camera import linear_response, named_response
+from camctl.profiles.profile import load_profile
+from camctl.streaming import (
+    ControlDelay,
+    DelayOrigin,
+    ExposurePipeline,
+    Shot,
+    TimestampedStream,
+    mean_brightness,
+    with_delay,
+)
+
+_Word = Annotated[str, StringConstraints(strip_whitespace=True, to_lower=True)]
+
+#: Buffers that are filled while no frame is taken, as many as of V4L2 cameras.
+_BUFFERS = 8
+#: Silence after which the camera counts as frozen, s, beyond an exposure.
+SILENCE_S = 10.0
+#: Frames a second of a free run, at least, unless others are asked for: as of V4L2 cameras.
+_LEAST_FPS = 15.0
+#: A released frame is exposed after the setting was written, so its delay is 0 in most cameras;
+#: image sensors that take their registers over at the end of a frame need up to two more.
+_TRIGGERED_DELAY = ControlDelay(0, 2, DelayOrigin.ASSUMED)
+#: Frames from a request in free run until the first whose exposure begins after the write.
+_LEAD_FRAMES = 1.5
+#: Exposure of the frames that are taken when the camera is opened, s.
+_FIRST_EXPOSURE_S = 0.002
+#: Frames of which the median shows what a released frame takes.
+_TIMED_FRAMES = 4
+#: Frames of an uploaded cycle that may come before its first set.
+_LEAD_OF_CYCLE = 8
+#: Different codes of a frame from which it shows how many of its bits are used.
+_LEAST_CODES = 64
+
+
+class GenicamOptions(BackendOptions):
+    """Options of a GenICam camera.
+
+    Attributes:
+        library: aravis or viva; "auto": the first of them that is installed
+        format: an entry of the camera's PixelFormat, or "auto" for the most bits
+        trigger: "software": each frame is released; "off": free run; "auto": software if possible
+        fps: frames a second of a free run; None: the fewest from 15 on, because no exposure is
+            longer than the interval between frames
+        bits: bits that the samples of a 16-bit format use, the upper ones; None: by the first frame
+        black: brightness without light, DN; None: 0
+        white: brightness from which a sample counts as saturated, DN; None: the largest; it is less
+            where the pixels are full before the converter is
+        black_level: value for the camera's BlackLevel; None: as it is
+        gain: what the values of the gain add; None: dB where the camera says so
+        chunks: "auto": exposures that the camera states are compared; "off"
+        sequencer: "on": a list of exposures is uploaded and taken without a pause
+        response: one of `model.response.camera.RESPONSES`
+    """
+
+    library: Annotated[Literal["auto", "aravis", "viva"], LowerCase] = "auto"
+    format: _Word = "auto"
+    trigger: Annotated[Literal["auto", "software", "off"], LowerCase] = "auto"
+    fps: float | None = Field(default=None, gt=0, le=10_000, allow_inf_nan=False)
+    bits: int | None = Field(default=None, ge=9, le=16)
+    black: int | None = Field(default=None, ge=0)
+    white: int | None = Field(default=None, ge=1)
+    black_level: float | None = Field(default=None, allow_inf_nan=False)
+    gain: Annotated[GainUnit | None, BeforeValidator(parse_gain)] = None
+    chunks: Annotated[Literal["auto", "off"], LowerCase] = "auto"
+    sequencer: Annotated[Literal["on", "off"], LowerCase] = "off"
+    response: _Word = "linear"
+
+
+class GenicamCamera(StreamCamera[Received]):
+    """A GenICam camera; a `PreviewingCamera` and a `StreamingCamera` of `camctl.interface.camera`.
+
+    The constructor does no I/O; `open` raises the errors below.
+
+    Args:
+        library: that opens it
+        device: as the library has found it
+        options: see `GenicamOptions`
+        clock: the system's monotonic one by default
+        silence_s: how long it may send nothing, beyond an exposure
+
+    Raises:
+        UsageError: an option that this camera does not support
+        CameraBusyError: another program controls it
+        CameraError: it has no manual exposure
+        CameraDisconnectedError, CameraTimeoutError, CameraProtocolError
+    """
+
+    _device: OpenDevice
+
+    def __init__(
+        self,
+        library: Library,
+        device: FoundDevice,
+        options: GenicamOptions | None = None,
+        *,
+        clock: Clock | None = None,
+        silence_s: float = SILENCE_S,
+    ) -> None:
+        super().__init__(f"{DRIVER}:{device.name}", clock or RealClock())
+        self._library = library
+        self._found = device
+        self._options = options or GenicamOptions()
+        self._silence_s = silence_s
+        self._shift = 0  # bits below the used ones of a sample
+
+    @property
+    def mode(self) -> str:
+        """Pixel format, size, and how frames are released."""
+        rows, columns = self.controls.shape
+        return f"{self._format.name.lower()}-{columns}x{rows}-{self._rate}"
+
+    @property
+    def device(self) -> OpenDevice:
+        """The open device, for its features."""
+        self._check_open()
+        return self._device
+
+    def step(
+        self, before: ExposureSetting, after: ExposureSetting, frames: int, *, early: int = 0
+    ) -> list[Frame]:
+        """Return the frames after a change of exposure; see `StreamingCamera.step`."""
+        self._check_ready()
+        for setting in (before, after):
+            self.controls.check(setting)
+        shots = self._pipeline.step(before, after, frames, early=early)
+        return [self._frame(shot, after) for shot in shots]
+
+    def use_delay(self, delay: MeasuredDelay | None) -> None:
+        """Use a measured control delay from now on; see `camctl.interface.camera.use_delay`."""
+        self._check_open()
+        used = self._delay(delay)
+        self._pipeline.delay = used
+        controls = with_delay(self.controls, used, self.info.id)
+        self._controls = replace(controls, timing=self._timing(used))
+
+    # ---- opening
+
+    def _open(self) -> None:
+        self._device = self._library.open(self._found)
+        try:
+            self._start()
+        except BaseException:
+            self._device.close()
+            raise
+
+    def _close(self) -> None:
+        """Leave the camera in free run, as other programs expect it."""
+        device = self._device
+        with suppress(CameraError):
+            device.stop()
+            sequencer.turn_off(device)
+            if self._is_triggered:
+                device.write("TriggerMode", "Off")
+        device.close()
+
+    def _start(self) -> None:
+        """Prepare the open device and start to take frames."""
+        device, options, name = self._device, self._options, self._name
+        self._info = info = camera_info(self._found, device)
+        self._exposure = exposure = ExposureControl(device, name, options.gain)
+        self._format = self._choose_format(options.format)
+        if options.black_level is not None:
+            device.write("BlackLevel", options.black_level)
+        self._is_triggered = self._choose_trigger(options.trigger)
+        self._has_chunks, findings = False, []
+        if options.chunks == "auto":
+            findings = self._turn_chunks_on()
+        self._sets = sequencer.sets(device) if options.sequencer == "on" else 0
+        if options.sequencer == "on" and not self._sets:
+            raise UsageError(f"{name} has no sequencer", hint="leave it off")
+        interval_s = 0.0 if self._is_triggered else 1 / self._choose_rate(options.fps)
+        times = exposure.times(interval_s or None)
+        gain = exposure.gains.minimum
+        exposure.write(ExposureSetting(times.nearest(_FIRST_EXPOSURE_S), gain))
+        device.start(_BUFFERS)
+        self._rate = "software" if self._is_triggered else f"{round(1 / interval_s, 3):g}"
+        first = self._start_pipeline(interval_s)
+        bits, black, white, used = self._levels(first)
+        response = named_response(options.response, bits, white - black)
+        levels = response or linear_response(bits, levels=white - black)
+        self._scale = Scale.of(black, white, levels)
+        self._stated = StatedExposures(self._scale)
+        delay = self._delay_in_profile(info, first.shape)
+        self._pipeline.delay = delay
+        if not self._is_triggered:
+            interval_s = self._stream.frame_clock.interval_s
+            times = exposure.times(min(interval_s, self._announced_s))
+        is_stated = "response" in options.model_fields_set or self._has_no_gamma()
+        self._controls = ExposureControls(
+            time_s=times,
+            gain=exposure.gains,
+            shape=first.shape,
+            layout=self._format.layout,
+            pixel_format=self._format.name,
+            bits=bits,
+            black=black,
+            white=white,
+            response=response,
+            response_origin=ResponseOrigin.STATED if is_stated else ResponseOrigin.ASSUMED,
+            delay_frames=delay.frames,
+            frame_interval_s=interval_s,
+            timing=self._timing(delay),
+            tolerance=TOLERANCE,
+            findings=(*exposure.findings, *findings, *used, *delay.findings(info.id)),
+        )
+
+    def _choose_format(self, requested: str) -> PixelFormat:
+        device = self._device
+        chosen = choose_format(device.entries("PixelFormat"), requested, self._name)
+        device.write("PixelFormat", chosen.name)
+        return chosen
+
+    def _choose_trigger(self, requested: str) -> bool:
+        """Turn all triggers off, and the software trigger on where it is used; return whether."""
+        device = self._device
+        if device.kind("AcquisitionMode") is Kind.ENUMERATION:
+            device.write("AcquisitionMode", "Continuous")
+        if device.kind("TriggerMode") is None:
+            return self._without_trigger(requested)
+        selectors: Sequence[str] = ("",)
+        if device.kind("TriggerSelector") is Kind.ENUMERATION:
+            selectors = device.entries("TriggerSelector")
+        for each in selectors:
+            if each:
+                device.write("TriggerSelector", each)
+            with suppress(FeatureError):  # not every trigger can be turned on at all
+                device.write("TriggerMode", "Off")
+        if requested == "off":
+            return False
+        if device.kind("TriggerSoftware") is None or not {"FrameStart", ""} & set(selectors):
+            return self._without_trigger(requested)
+        if selectors[0]:
+            device.write("TriggerSelector", "FrameStart")
+        if "Software" not in device.entries("TriggerSource"):
+            return self._without_trigger(requested)
+        device.write("TriggerSource", "Software")
+        device.write("TriggerMode", "On")
+        if device.kind("AcquisitionFrameRateEnable") is Kind.BOOLEAN:
+            with suppress(FeatureError):
+                device.write("AcquisitionFrameRateEnable", False)
+        return True
+
+    def _without_trigger(self, requested: str) -> bool:
+        if requested == "software":
+            raise UsageError(
+                f"{self._name} has no software trigger",
+                hint="leave it out: frames are taken from a free run then",
+                remedies={"option:trigger": "off"},
+            )
+        return False
+
+    def _choose_rate(self, fps: float | None) -> float:
+        """Set the frame rate of a free run and return it."""
+        device = self._device
+        self._exposure.write(
+            ExposureSetting(self._exposure.times().minimum, self._exposure.gains.minimum)
+        )
+        for switch in ("AcquisitionFrameRateEnable", "AcquisitionFrameRateEnabled"):
+            if device.kind(switch) is Kind.BOOLEAN:
+                device.write(switch, True)
+        name = "AcquisitionFrameRate"
+        if device.kind(name) is None:
+            return fps or 2 * _LEAST_FPS
+        limits: Limits = device.limits(name)
+        wanted = _LEAST_FPS if fps is None else fps
+        if fps is not None and not limits.minimum <= fps <= limits.maximum:
+            raise UsageError(
+                f"{self._name} does not offer {fps:g} frames a second",
+                hint=f"it offers {limits.minimum:g} to {limits.maximum:g}",
+            )
+        device.write(name, min(max(wanted, limits.minimum), limits.maximum))
+        return float(device.read(name))
+
+    def _turn_chunks_on(self) -> list[Finding]:
+        """Let frames state their exposures, where the camera can."""
+        device = self._device
+        if device.kind("ChunkModeActive") is None:
+            return []
+        try:
+            device.write("ChunkModeActive", True)
+            offered = device.entries("ChunkSelector")
+            for each in CHUNKS:
+                if each in offered:
+                    device.write("ChunkSelector", each)
+                    device.write("ChunkEnable", True)
+            self._has_chunks = "ExposureTime" in offered
+        except FeatureError as error:
+            return [note(f"the camera's chunk data are not used: {error}")]
+        return []
+
+    def _start_pipeline(self, interval_s: float) -> Received:
+        """Make the pipeline and return the first frame."""
+        device, name, clock = self._device, self._name, self._clock
+        delay = _TRIGGERED_DELAY if self._is_triggered else ControlDelay.of(None)
+        if self._is_triggered:
+            slots = TriggeredSlots(
+                device,
+                name,
+                self._exposure,
+                clock,
+                self._silence_s,
+                lambda frame: self._statement(frame.chunks),
+            )
+            self._pipeline = ExposurePipeline(slots, delay, self._brightness, self._proves)
+            self._overhead_s, first = self._timed(slots)
+            return first
+        frames = FreeRunFrames(device, name, self._exposure, clock, self._silence_s)
+        self._announced_s = interval_s
+        self._stream = TimestampedStream[Received](
+            frames, clock, interval_s, sequence=lambda: frames.sequence
+        )
+        self._stream.start()
+        self._pipeline = ExposurePipeline(self._stream, delay, self._brightness, self._proves)
+        for _ in range(_BUFFERS):
+            frames.grab()
+            if (found := frames.retrieve()) is not None:
+                return found
+        raise CameraProtocolError(f"{name} sends no complete frame", hint="check the network")
+
+    def _timed(self, slots: TriggeredSlots) -> tuple[float, Received]:
+        """Return what a released frame takes beyond its exposure, s, and a frame."""
+        exposure_s = float(self._device.read(self._exposure.time_name)) / US_PER_S
+        setting = ExposureSetting(exposure_s, self._exposure.gains.minimum)
+        taken_s: list[float] = []
+        found: Received | None = None
+        for _ in range(_TIMED_FRAMES):
+            began_s = self._clock.now()
+            self._exposure.forget()
+            slots.write(setting)
+            slots.next_frame()
+            if (frame := slots.read()) is not None:
+                found = frame
+                self._samples(frame)
+                taken_s.append(self._clock.now() - began_s - exposure_s)
+        if found is None:
+            raise CameraProtocolError(
+                f"{self._name} sends no complete frame", hint="check the network"
+            )
+        return max(0.0, median(taken_s)), found
+
+    def _levels(self, first: Received) -> tuple[int, int, int, list[Finding]]:
+        """Return bits, black and white of the samples, and findings; set the shift of samples."""
+        options, bits = self._options, self._format.bits
+        if options.bits is not None and bits != 16:
+            raise UsageError(
+                f"the option bits={options.bits} does not apply to {self._format.name}",
+                hint="it states how many bits of a 16-bit format are used",
+            )
+        self._shift = 0
+        findings = []
+        if bits == 16:
+            pixels = self._format.samples(first)
+            used = options.bits or (16 if pixels is None else _used_bits(pixels))
+            self._shift = 16 - used
+            bits = used
+            if self._shift and options.bits is None:
+                findings.append(
+                    note(
+                        f"the upper {used} bits of 16 are used, by the first frame",
+                        {"option:bits": str(used)},
+                    )
+                )
+        most, black = 2**bits - 1, options.black or 0
+        white = most if options.white is None else options.white
+        if not black < white <= most:
+            raise UsageError(
+                f"invalid black level {black} and white level {white}",
+                hint=f"give 0 <= black < white <= {most} DN",
+            )
+        if options.black is None:
+            findings.append(
+                note(
+                    "black is assumed to be 0: cover the lens, measure the mean brightness, and "
+                    "give it",
+                    {"option:black": None},
+                )
+            )
+        return bits, black, white, findings
+
+    def _has_no_gamma(self) -> bool:
+        """Return whether the camera's samples are linear: its gamma is off, or it has none."""
+        device = self._device
+        with suppress(FeatureError):
+            if device.kind("GammaEnable") is Kind.BOOLEAN:
+                return device.read("GammaEnable") is False
+            if device.kind("Gamma") is Kind.FLOAT:
+                return device.read("Gamma") == 1.0
+        return True
+
+    # ---- delay and time
+
+    def _delay_in_profile(self, info: CameraInfo, shape: tuple[int, int]) -> ControlDelay:
+        mode = f"{self._format.name.lower()}-{shape[1]}x{shape[0]}-{self._rate}"
+        record = load_profile(info).delays.get(mode)
+        return self._delay(None if record is None else record.bounds)
+
+    def _delay(self, measured: MeasuredDelay | None) -> ControlDelay:
+        if measured is None and self._is_triggered:
+            return _TRIGGERED_DELAY
+        return ControlDelay.of(measured)
+
+    def _timing(self, delay: ControlDelay) -> CaptureTiming:
+        if self._is_triggered:
+            timing = replace(delay.timing(0.0), readout_s=self._overhead_s)
+        else:
+            readout_s = delay.readout_s or self._stream.arrival_s
+            is_constant = delay.frames is not None
+            timing = replace(delay.timing(_LEAD_FRAMES), readout_s=readout_s, rests=is_constant)
+        # A frame that states its exposure ends the wait, mostly the first one that may have it.
+        return replace(timing, old_frames=0.0, unsettled_frames=0.0) if self._has_chunks else timing
+
+    # ---- frames
+
+    def _brightness(self, frame: Received) -> float:
+        pixels = self._samples(frame)
+        return 0.0 if pixels is None else mean_brightness(pixels, 2**self._format.bits)
+
+    def _samples(self, frame: Received) -> Pixels | None:
+        pixels = self._format.samples(frame)
+        if pixels is None or not self._shift:
+            return pixels
+        return np.right_shift(pixels, self._shift)
+
+    def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
+        self._stated.begin()
+        if 2 <= len(settings) <= self._sets:
+            yield from self._uploaded(settings)
+            return
+        if self._is_triggered:  # a slot is an exposure: nothing has to rest
+            for shot in self._pipeline.shoot(settings):
+                yield self._judged(shot, settings)
+                self._check_open()
+            return
+        for frame in super()._frames(settings):
+            yield self._stated.judged(frame, self._statement(frame.details.get("chunks", {})))
+
+    def _judged(self, shot: Shot[Received], settings: Sequence[ExposureSetting]) -> Frame:
+        frame = self._frame(shot, settings[shot.index])
+        return self._stated.judged(frame, self._statement(frame.details.get("chunks", {})))
+
+    def _statement(self, chunks: Mapping[str, float]) -> ExposureSetting | None:
+        """Return the exposure that a frame states itself."""
+        return self._exposure.stated(chunks.get("ExposureTime"), chunks.get("Gain"))
+
+    def _proves(self, received: Received, setting: ExposureSetting) -> bool:
+        """Return whether a frame proves that it has a setting."""
+        pixels = self._samples(received)
+        if pixels is None:
+            return False
+        return self._stated.proves(pixels, setting, self._statement(received.chunks))
+
+    def _frame(self, shot: Shot[Received], requested: ExposureSetting) -> Frame:
+        return self._made(shot.data, requested, shot.applied, shot.time_s, shot.index)
+
+    def _made(
+        self,
+        received: Received,
+        requested: ExposureSetting,
+        applied: ExposureSetting,
+        time_s: float,
+        index: int,
+    ) -> Frame:
+        pixels = self._samples(received)
+        colours = (3,) if self._format.layout is Layout.RGB else ()
+        if (
+            pixels is None
+            or received.code != self._format.code
+            or pixels.shape != (*self.controls.shape, *colours)
+        ):
+            raise CameraProtocolError(
+                f"{self._name} has changed its pixel format or its size",
+                hint="close other programs and open it again",
+            )
+        counts = self._device.packets()
+        details: dict[str, Any] = {"frame_id": received.number}
+        if received.chunks:
+            details["chunks"] = dict(received.chunks)
+        if counts.missing or counts.resent:
+            details["packets"] = {"missing": counts.missing, "resent": counts.resent}
+        return Frame(
+            pixels=pixels,
+            requested=requested,
+            applied=applied,
+            timestamp_s=time_s,
+            index=index,
+            black=self._scale.black,
+            white=self._scale.white,
+            details=details,
+        )
+
+    # ---- uploaded
+
+    def _uploaded(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
+        """Upload a cycle and yield its frames, once the pixels show where it begins."""
+        device = self._device
+        device.stop()
+        if self._is_triggered:
+            device.write("TriggerMode", "Off")
+        try:
+            sequencer.upload(device, settings, self._exposure, self._name)
+            device.start(max(_BUFFERS, len(settings) + _LEAD_OF_CYCLE))
+            frames = self._cycle(settings)
+        finally:
+            with suppress(CameraError):
+                device.stop()
+            sequencer.turn_off(device)
+            if self._is_triggered:
+                device.write("TriggerMode", "On")
+            device.start(_BUFFERS)
+        yield from frames
+
+    def _cycle(self, settings: tuple[ExposureSetting, ...]) -> list[Frame]:
+        """Return the frames of one cycle, from the first that begins with its first set."""
+        count = len(settings)
+        longest_s = max(setting.time_s for setting in settings)
+        taken: list[Received] = []
+        for _ in range(count + _LEAD_OF_CYCLE + count):
+            received = wait_for_frame(self._device, self._clock, longest_s, self._silence_s)
+            if received is None:
+                raise silent(self._device, self._name, self._silence_s)
+            if not received.is_complete or (taken and received.number != taken[-1].number + 1):
+                taken.clear()  # a frame is missing: the cycle is counted anew
+            if received.is_complete:
+                taken.append(received)
+            window = taken[-count:]
+            if len(window) < count:
+                continue
+            pixels = [self._samples(each) for each in window]
+            found = [each for each in pixels if each is not None]
+            if len(found) == count and first_in_order(found, settings, self._scale) == 0:
+                return [
+                    self._made(each, setting, setting, each.arrived_s, index)
+                    for index, (each, setting) in enumerate(zip(window, settings, strict=True))
+                ]
+        raise CameraProtocolError(
+            f"the pixels do not show with which frame the sequencer of {self._name} begins",
+            hint="keep the scene steady, light it, or leave the sequencer off",
+            remedies={"option:sequencer": "off"},
+        )
+
+
+def _used_bits(pixels: Pixels) -> int:
+    """Return how many upper bits of a 16-bit frame are used; 16 where it shows too little."""
+    if np.unique(pixels).size < _LEAST_CODES:
+        return 16
+    together = int(np.bitwise_or.reduce(pixels, axis=None))
+    unused = (together & -together).bit_length() - 1
+    return 16 - unused

@@ -1,0 +1,1 @@
+"""A virtual GigE Vision camera: control protocol, streaming protocol and GenICam description."""
