@@ -7,6 +7,7 @@ from typing import Generic, TypeVar
 
 from camctl.interface.camera import CameraBase, Frame, MeasuredDelay
 from camctl.interface.controls import ExposureSetting
+from camctl.interface.cycle import FrameCycle
 from camctl.streaming import (
     ControlDelay,
     ExposureCycle,
@@ -36,7 +37,7 @@ class StreamCamera(CameraBase, Generic[DataT]):
         finally:
             frames.close()
 
-    def cycle(self, settings: Sequence[ExposureSetting]) -> StreamCycle[DataT]:
+    def cycle(self, settings: Sequence[ExposureSetting]) -> FrameCycle:
         """Return frames without end; see `camctl.interface.cycle.CyclingCamera`."""
         endless = ExposureCycle.of(self._pipeline, self._checked(settings))
         self._is_shooting = True

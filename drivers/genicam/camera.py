@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import islice
 from statistics import median
 from typing import Annotated, Any, Literal
 
@@ -20,7 +21,7 @@ from camctl.drivers.common.gain_unit import GainUnit, parse_gain
 from camctl.drivers.common.stream_camera import StreamCamera
 from camctl.drivers.genicam import sequencer
 from camctl.drivers.genicam.controls import TOLERANCE, US_PER_S, ExposureControl
-from camctl.drivers.genicam.evidence import Scale, StatedExposures, first_in_order
+from camctl.drivers.genicam.evidence import Scale, StatedExposures
 from camctl.drivers.genicam.formats import PixelFormat, choose_format
 from camctl.drivers.genicam.libraries import DRIVER, camera_info
 from camctl.drivers.genicam.port import (
@@ -33,16 +34,12 @@ from camctl.drivers.genicam.port import (
     OpenDevice,
     Received,
 )
-from camctl.drivers.genicam.slots import (
-    FreeRunFrames,
-    TriggeredSlots,
-    silent,
-    wait_for_frame,
-)
+from camctl.drivers.genicam.slots import FreeRunFrames, TriggeredSlots
+from camctl.drivers.genicam.uploaded import UploadedCycle, UploadedSequence
 from camctl.errors import CameraError, CameraProtocolError, UsageError
 from camctl.findings import Finding, note
 from camctl.interface.backends import BackendOptions, LowerCase
-from camctl.interface.camera import CameraInfo, Frame, MeasuredDelay, Pixels
+from camctl.interface.camera import CameraInfo, CyclePlace, Frame, MeasuredDelay, Pixels
 from camctl.interface.clock import CaptureTiming, Clock, RealClock
 from camctl.interface.controls import (
     ExposureControls,
@@ -50,6 +47,7 @@ from camctl.interface.controls import (
     Layout,
     ResponseOrigin,
 )
+from camctl.interface.cycle import FrameCycle, check_not_empty
 from camctl.model.response.camera import linear_response, named_response
 from camctl.profiles.profile import load_profile
 from camctl.streaming import (
@@ -79,8 +77,6 @@ _LEAD_FRAMES = 1.5
 _FIRST_EXPOSURE_S = 0.002
 #: Frames of which the median shows what a released frame takes.
 _TIMED_FRAMES = 4
-#: Frames of an uploaded cycle that may come before its first set.
-_LEAD_OF_CYCLE = 8
 #: Different codes of a frame from which it shows how many of its bits are used.
 _LEAST_CODES = 64
 
@@ -357,18 +353,25 @@ class GenicamCamera(StreamCamera[Received]):
             self._pipeline = ExposurePipeline(slots, delay, self._brightness, self._proves)
             self._overhead_s, first = self._timed(slots)
             return first
-        frames = FreeRunFrames(device, name, self._exposure, clock, self._silence_s)
         self._announced_s = interval_s
-        self._stream = TimestampedStream[Received](
-            frames, clock, interval_s, sequence=lambda: frames.sequence
-        )
-        self._stream.start()
-        self._pipeline = ExposurePipeline(self._stream, delay, self._brightness, self._proves)
+        frames = self._run_free(delay)
         for _ in range(_BUFFERS):
             frames.grab()
             if (found := frames.retrieve()) is not None:
                 return found
         raise CameraProtocolError(f"{name} sends no complete frame", hint="check the network")
+
+    def _run_free(self, delay: ControlDelay) -> FreeRunFrames:
+        """Take frames from a free run that has just begun, with a pipeline of its own."""
+        frames = FreeRunFrames(
+            self._device, self._name, self._exposure, self._clock, self._silence_s
+        )
+        self._stream = TimestampedStream[Received](
+            frames, self._clock, self._announced_s, sequence=lambda: frames.sequence
+        )
+        self._stream.start()
+        self._pipeline = ExposurePipeline(self._stream, delay, self._brightness, self._proves)
+        return frames
 
     def _timed(self, slots: TriggeredSlots) -> tuple[float, Received]:
         """Return what a released frame takes beyond its exposure, s, and a frame."""
@@ -543,53 +546,69 @@ class GenicamCamera(StreamCamera[Received]):
 
     # ---- uploaded
 
-    def _uploaded(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
-        """Upload a cycle and yield its frames, once the pixels show where it begins."""
-        device = self._device
-        device.stop()
-        if self._is_triggered:
-            device.write("TriggerMode", "Off")
+    def cycle(self, settings: Sequence[ExposureSetting]) -> FrameCycle:
+        """Return frames without end; see `camctl.interface.cycle.CyclingCamera`."""
+        if not self._sets:
+            return super().cycle(settings)
+        check_not_empty(settings)
+        checked = self._checked(settings)
+        self._check_uploadable(checked)
+        self._is_shooting = True
         try:
-            sequencer.upload(device, settings, self._exposure, self._name)
-            device.start(max(_BUFFERS, len(settings) + _LEAD_OF_CYCLE))
-            frames = self._cycle(settings)
-        finally:
-            with suppress(CameraError):
-                device.stop()
-            sequencer.turn_off(device)
-            if self._is_triggered:
-                device.write("TriggerMode", "On")
-            device.start(_BUFFERS)
-        yield from frames
+            return UploadedCycle(
+                self._sequence(), checked, self._check_uploadable, self._cycled, self._end_uploaded
+            )
+        except BaseException:
+            self._end_cycle()
+            raise
 
-    def _cycle(self, settings: tuple[ExposureSetting, ...]) -> list[Frame]:
-        """Return the frames of one cycle, from the first that begins with its first set."""
-        count = len(settings)
-        longest_s = max(setting.time_s for setting in settings)
-        taken: list[Received] = []
-        for _ in range(count + _LEAD_OF_CYCLE + count):
-            received = wait_for_frame(self._device, self._clock, longest_s, self._silence_s)
-            if received is None:
-                raise silent(self._device, self._name, self._silence_s)
-            if not received.is_complete or (taken and received.number != taken[-1].number + 1):
-                taken.clear()  # a frame is missing: the cycle is counted anew
-            if received.is_complete:
-                taken.append(received)
-            window = taken[-count:]
-            if len(window) < count:
-                continue
-            pixels = [self._samples(each) for each in window]
-            found = [each for each in pixels if each is not None]
-            if len(found) == count and first_in_order(found, settings, self._scale) == 0:
-                return [
-                    self._made(each, setting, setting, each.arrived_s, index)
-                    for index, (each, setting) in enumerate(zip(window, settings, strict=True))
-                ]
-        raise CameraProtocolError(
-            f"the pixels do not show with which frame the sequencer of {self._name} begins",
-            hint="keep the scene steady, light it, or leave the sequencer off",
-            remedies={"option:sequencer": "off"},
+    def _resume(self) -> None:
+        """Go on as before an uploaded sequence: a free run has begun anew, with other numbers."""
+        if not self._is_triggered:
+            self._run_free(self._pipeline.delay)
+
+    def _end_uploaded(self) -> None:
+        self._end_cycle()
+        self._resume()
+
+    def _check_uploadable(self, settings: Sequence[ExposureSetting]) -> None:
+        for setting in settings:
+            self.controls.check(setting)
+        if not 2 <= len(settings) <= self._sets:
+            raise UsageError(
+                f"a list of {len(settings)} exposures cannot be uploaded",
+                hint=f"give 2 to {self._sets}, or leave the sequencer off",
+            )
+
+    def _cycled(
+        self, received: Received, setting: ExposureSetting, index: int, place: CyclePlace
+    ) -> Frame:
+        frame = self._made(received, setting, setting, received.arrived_s, index)
+        return replace(frame, place=place)
+
+    def _sequence(self) -> UploadedSequence:
+        return UploadedSequence(
+            self._device,
+            self._name,
+            self._exposure,
+            self._scale,
+            self._samples,
+            self._clock,
+            self._silence_s,
+            is_triggered=self._is_triggered,
         )
+
+    def _uploaded(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
+        """Upload a list and yield its frames, once the pixels show where it begins."""
+        sequence = self._sequence()
+        try:
+            sequence.start(settings)
+            taken = list(islice(sequence.frames(settings), len(settings)))
+        finally:
+            sequence.stop()
+            self._resume()
+        for (index, received), setting in zip(taken, settings, strict=True):
+            yield self._made(received, setting, setting, received.arrived_s, index)
 
 
 def _used_bits(pixels: Pixels) -> int:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from camctl.drivers.genicam.port import OpenDevice, Received
-from camctl.errors import CameraProtocolError, CameraTimeoutError
+from camctl.errors import CameraTimeoutError
 from camctl.interface.clock import Clock, check_cancelled
 from camctl.interface.controls import ExposureSetting
 from camctl.streaming import FrameStamp, Written
@@ -43,6 +43,12 @@ def wait_for_frame(
         if frame is not None:
             return frame
     return None
+
+
+def numbers_apart(before: int, after: int) -> int:
+    """Return how many frames the camera has numbered from one to another, 1 or more."""
+    passed = after - before
+    return passed if passed > 0 else max(1, passed + _NUMBERS)
 
 
 def silent(device: OpenDevice, name: str, silence_s: float) -> CameraTimeoutError:
@@ -172,15 +178,7 @@ class FreeRunFrames:
             raise silent(self._device, self._name, self._silence_s)
         last, self._frame = self._frame, frame
         if last is not None:
-            passed = frame.number - last.number
-            if passed <= 0:
-                passed += _NUMBERS
-            if passed <= 0:
-                raise CameraProtocolError(
-                    f"{self._name} numbers its frames {last.number} and {frame.number}",
-                    hint="open it again",
-                )
-            self.sequence += passed
+            self.sequence += numbers_apart(last.number, frame.number)
         return frame.arrived_s
 
     def retrieve(self) -> Received | None:

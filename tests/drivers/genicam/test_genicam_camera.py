@@ -21,6 +21,7 @@ from camctl.errors import (
 )
 from camctl.interface.camera import Frame, MeasuredDelay
 from camctl.interface.controls import ExposureSetting, Layout, Steps
+from camctl.interface.cycle import CycleMethod
 from camctl.sim.devices.gige.camera import GigeCamera
 
 TIMES_S = (0.004, 0.001, 0.008, 0.002)
@@ -208,6 +209,28 @@ def test_uploaded_cycle_takes_one_frame_for_each_setting(
         # And afterwards the camera takes single frames as before.
         (again,) = shot(camera, wanted[:1])
         assert again.applied == wanted[0]
+
+
+def test_camera_repeats_an_uploaded_cycle(aravis: Library) -> None:
+    with (
+        virtual_camera(lead=1, fps=100) as device,
+        opened(device, aravis, sequencer="on") as camera,
+    ):
+        first, second = settings(camera, *TIMES_S), settings(camera, 0.002, 0.006)
+        cycle = camera.cycle(first)
+        frames = [next(cycle) for _ in range(6)]
+        assert cycle.exchange(second) == 1
+        frames += [next(cycle) for _ in range(6)]
+        cycle.close()
+        assert cycle.method is CycleMethod.SEQUENCER
+        assert [frame.applied for frame in frames] == [*first, *first, *second, *second]
+        assert [frame.place.plan for frame in frames if frame.place] == [0] * 8 + [1] * 4
+        light = [float(frame.pixels.mean() - BLACK) / frame.applied.time_s for frame in frames]
+        assert light == pytest.approx([light[0]] * 12, rel=0.03)
+        with pytest.raises(UsageError):
+            camera.cycle([])
+        (again,) = shot(camera, first[:1])
+        assert again.applied == first[0]
 
 
 def test_uploaded_cycle_whose_begin_is_not_seen_is_refused(aravis: Library) -> None:
