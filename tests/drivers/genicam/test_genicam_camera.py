@@ -122,7 +122,7 @@ def test_delay_is_measured_and_then_costs_n_plus_d_frames(
 ) -> None:
     with (
         virtual_camera(delay=delay) as device,
-        opened(device, aravis, trigger=trigger, fps="50") as camera,
+        opened(device, aravis, trigger=trigger, fps="25") as camera,
     ):
         wanted = settings(camera, *TIMES_S, 0.006, 0.003)
         camera.use_delay(None)
@@ -193,7 +193,7 @@ def test_uploaded_cycle_takes_one_frame_for_each_setting(
 ) -> None:
     with (
         virtual_camera(lead=lead, fps=100) as device,
-        opened(device, library, sequencer="on", trigger=trigger, fps="100") as camera,
+        opened(device, library, sequencer="on", trigger=trigger, fps="25") as camera,
     ):
         wanted = settings(camera, *TIMES_S)
         before = device.do("log")["frames"][-1]["slot"]
@@ -244,9 +244,9 @@ def test_uploaded_cycle_whose_begin_is_not_seen_is_refused(aravis: Library) -> N
 
 def test_camera_without_triggers_chunks_or_sequencer_runs_free(aravis: Library) -> None:
     with virtual_camera(has_trigger=False, has_chunks=False, sets=0) as device:
-        with opened(device, aravis, fps="50") as camera:
-            assert camera.mode == "mono12p-64x48-50"
-            assert camera.controls.time_s.maximum <= 1 / 50
+        with opened(device, aravis, fps="25") as camera:
+            assert camera.mode == "mono12p-64x48-25"
+            assert camera.controls.time_s.maximum <= 1 / 25
             wanted = settings(camera, 0.004, 0.001)
             check(device, shot(camera, wanted), wanted)
         with pytest.raises(UsageError), opened(device, aravis, trigger="software"):

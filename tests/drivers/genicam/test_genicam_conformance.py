@@ -82,4 +82,4 @@ class TestTriggeredInALossyNetwork(TriggeredConformance):
 
 class TestFreeRunWithTheRunningFrame(GenicamConformance):
     delay = -1
-    options = {"trigger": "off", "fps": "50"}  # noqa: RUF012
+    options = {"trigger": "off", "fps": "25"}  # noqa: RUF012
