@@ -238,14 +238,16 @@ class ExposurePipeline(Generic[DataT]):
             if stamp.number < written.earliest or (is_early and self._proves is None):
                 continue
             looked_at += not is_early
-            data = self._source.read() if stamp.is_certain else None
+            data = self._source.read() if stamp.is_certain or self._proves else None
             if data is None:
                 previous = None
                 continue
             shot = Shot(written.index, written.applied, stamp.time_s, data)
             if self._proves is not None and self._proves(data, written.applied):
                 return shot
-            if is_early:
+            if not stamp.is_certain:
+                previous = None
+            if is_early or not stamp.is_certain:
                 continue
             if self._brightness is None or self._delay.origin is DelayOrigin.GUARANTEED:
                 return shot

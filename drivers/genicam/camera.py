@@ -608,7 +608,9 @@ class GenicamCamera(StreamCamera[Received]):
             sequence.stop()
             self._resume()
         for (index, received), setting in zip(taken, settings, strict=True):
-            yield self._made(received, setting, setting, received.arrived_s, index)
+            frame = self._made(received, setting, setting, received.arrived_s, index)
+            self._stated.remember(frame)
+            yield frame
 
 
 def _used_bits(pixels: Pixels) -> int:

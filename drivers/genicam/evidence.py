@@ -106,6 +106,10 @@ class StatedExposures:
         self._reference: _Seen | None = None  # the last frame whose exposure is known
         self.is_late = False
 
+    def remember(self, frame: Frame) -> None:
+        """Compare the next frames with this one, whose exposure is known."""
+        self._reference = _Seen(frame.pixels, frame.applied, frame.applied)
+
     def begin(self) -> None:
         """Forget the frames of the sequence before: the scene may have changed."""
         self._last = None
