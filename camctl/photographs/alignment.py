@@ -24,7 +24,7 @@ _DISPLACED, _DISPLACED_IN_COPY = 1.3, 0.15
 #: Fine structure that is in the same place is displaced by less than this, pixels.
 NEARLY = 8.0
 #: Share of the longer side by which photographs of one view are displaced at most.
-_ALIGNABLE = 0.1
+ALIGNABLE = 0.1
 
 _Place = NDArray[np.float64]
 
@@ -146,7 +146,7 @@ def _misplaced(
     found = []
     for k, place in chain:
         extent = _extent(place - usual, first)
-        is_chance = k in other_views and extent > _ALIGNABLE * max(first.grey.shape)
+        is_chance = k in other_views and extent > ALIGNABLE * max(first.grey.shape)
         if k in others or is_chance:
             continue
         exposure = sights[k].photograph.exposure

@@ -18,7 +18,7 @@ from camctl.evidence.alignment import brightness_matched, displacement
 from camctl.findings import Finding
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import Layout
-from camctl.photographs.alignment import Chain, Sight, grey_copy, usual_place
+from camctl.photographs.alignment import ALIGNABLE, Chain, Sight, grey_copy, usual_place
 from camctl.system.picture_operations import required_opencv
 
 #: Longest side of the grey copies in which moves are measured, pixels: of 24 megapixels one in the
@@ -155,18 +155,19 @@ def moves_of(
     back = np.linalg.inv(matrices[reference])
     whole = np.array(((scale, 0, (scale - 1) / 2), (0, scale, (scale - 1) / 2), (0, 0, 1)))
     moves = {}
+    step_size = 2 if layout.is_mosaic else 1
     for k in order:
         matrix = whole @ matrices[k] @ back @ np.linalg.inv(whole)
         matrix /= matrix[2, 2]
-        if full:
-            if k != reference:
-                moves[k] = Move(matrix, False)
-            continue
         rows, columns = pixels(k).shape[:2]
-        middle = matrix @ ((columns - 1) / 2, (rows - 1) / 2, 1)
-        step_size = 2 if layout.is_mosaic else 1
-        move = Move.whole(middle[0] - (columns - 1) / 2, middle[1] - (rows - 1) / 2, step_size)
-        if any(move.shift):
+        centre = np.array(((columns - 1) / 2, (rows - 1) / 2))
+        middle = matrix @ (*centre, 1)
+        by = middle[:2] / middle[2] - centre
+        # So far no hand moves: a thing that moved may be all that can be compared.
+        if k == reference or np.abs(by).max() > ALIGNABLE * max(rows, columns):
+            continue
+        move = Move(matrix, False) if full else Move.whole(by[0], by[1], step_size)
+        if full or any(move.shift):
             moves[k] = move
     return moves
 

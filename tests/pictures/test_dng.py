@@ -41,7 +41,7 @@ def test_libraw_opens_the_file_with_the_same_light(report: CaptureReport, tmp_pa
         found = raw.raw_image.astype(float)
         white, balance = raw.white_level, np.array(raw.camera_whitebalance[:3])
         assert raw.rgb_xyz_matrix[0, 0] == pytest.approx(0.4716, abs=1e-3)
-        assert np.array_equal(raw.raw_pattern, [[0, 1], [3, 2]])
+        assert np.asarray(raw.raw_pattern).tolist() == [[0, 1], [3, 2]]
     assert balance == pytest.approx(1 / NEUTRAL, rel=1e-3)
     # LibRaw makes integers of 14 bits of the numbers.
     bright = samples > 100 / white
