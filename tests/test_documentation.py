@@ -153,6 +153,7 @@ def test_every_public_name_is_in_the_api_reference() -> None:
                 "explanation/exposures.md",
                 "how-to/calibration.md",
                 "how-to/vision.md",
+                "how-to/live.md",
             )
         ),
     ],
@@ -176,7 +177,8 @@ _FILES = {
     "mine.txt": (_IRRADIANCE[1:], _IRRADIANCE[1:] ** 0.45),
     "times.txt": (2.0 ** (np.arange(-39, 16) / 3),),
 }
-_NEEDS_A_DEVICE = ("v4l2:", "ptp", "coolpix:", "menu", "calibrate", "--resume")
+#: "http" ends with Ctrl-C.
+_NEEDS_A_DEVICE = ("v4l2:", "ptp", "coolpix:", "menu", "calibrate", "--resume", "http")
 
 
 #: The page that each command is run for: a study that two pages name takes long enough once.

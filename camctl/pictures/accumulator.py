@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from camctl.errors import CaptureError, UsageError
 from camctl.interface.camera import Pixels
 
-#: Samples of a tile: its work arrays stay in the cache, and numpy's call overhead is small; of 2^13
+#: Samples of a tile: its work arrays stay in the cache, and numpy's call overhead is small; of 2^14
 #: to 2^20 the fastest in `tests/bench/bench_live.py`.
-_TILE = 1 << 16
+_TILE = 1 << 20
 
 
 class Accumulator:
@@ -44,7 +44,6 @@ class Accumulator:
         # numpy's minimum is vectorised between arrays but not against a scalar: 9 times faster.
         self._ceiling = np.full(min(_TILE, self.total.size), white if self._clips else 0, dtype)
         self._narrow = np.empty_like(self._ceiling)
-        self._wide = np.empty(self._ceiling.size, self.total.dtype)
 
     def accumulate(self, pixels: Pixels) -> None:
         """Add one frame, clipped at white.
@@ -72,11 +71,6 @@ class Accumulator:
                 if self._clips:
                     narrow = self._narrow[: tile.size]
                     tile = np.minimum(tile, self._ceiling[: tile.size], out=narrow)
-                if tile.dtype != total.dtype:
-                    # One widening copy and a same-type sum are faster than a sum of mixed types.
-                    wide = self._wide[: tile.size]
-                    np.copyto(wide, tile)
-                    tile = wide
                 operation(here, tile, out=here)
 
     def _samples(self, pixels: Pixels) -> NDArray[Any]:
