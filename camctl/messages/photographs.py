@@ -167,6 +167,8 @@ def _masked(finding: Finding) -> str:
         why = "the border around has one pure colour"
         if by == "mask":
             why = "the mask is black around"
+        elif by == "alpha":
+            why = "what is around is transparent in a photograph"
         found.append(f"cut to {size} from column {place.left}, row {place.top}: {why}")
     if finding.value:
         share = percent_text(finding.value)

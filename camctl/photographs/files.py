@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from camctl.errors import DataError
 from camctl.findings import Detail, Finding
@@ -87,6 +88,7 @@ class PhotographFiles:
         self._times = None if times is None else tuple(map(float, times))
         self._kept: dict[int, Pixels] = {}
         self._moves: dict[int, Move] = {}
+        self._invalid: dict[int, NDArray[np.bool_]] = {}
         self._full = _largest_of_exr(self._paths)
         self.photographs: list[Photograph] = []
         found: Format | None = None
@@ -128,6 +130,14 @@ class PhotographFiles:
         for position in moves:
             self._kept.pop(position, None)
 
+    def invalid(self, position: int) -> NDArray[np.bool_] | None:
+        """Return which pixels the alpha channel of a file leaves out; None: none."""
+        found = self._invalid.get(position)
+        if found is None or (move := self._moves.get(position)) is None:
+            return found
+        marks = found.astype(np.uint8)
+        return move.applied(marks, self.format.layout, 1) > 0
+
     @property
     def moved(self) -> tuple[int, ...]:
         """Positions of the files that are moved."""
@@ -161,6 +171,8 @@ class PhotographFiles:
             if what not in known:
                 self._note("damaged", position, what=what)
         pixels: Pixels = still.pixels
+        if still.invalid is not None:
+            self._invalid[position] = np.rot90(still.invalid, turns)
         if turns:
             turned: Any = np.rot90(pixels, turns)
             pixels = np.ascontiguousarray(turned)

@@ -18,6 +18,8 @@ from camctl.system.input_files import read_input
 
 #: Largest file of a mask that is read.
 _MOST_BYTES = 1 << 28
+#: Rows and columns among which the largest rectangle is searched, by a loop over all places.
+_MOST_LINES = 1024
 #: Pixels of one pure colour along a border, as share of its length, that make it an invalid one.
 _BORDER_SHARE = 0.05
 
@@ -59,15 +61,20 @@ class ValidArea:
             masked = _read_mask(mask, shape)
             masked |= _outside(inner, shape)
             return cls._of_mask(masked, step)
-        invalid = np.zeros(shape, np.bool_)
+        invalid, by = np.zeros(shape, np.bool_), "border"
         for position in range(len(files.photographs)):
-            invalid |= invalid_border(files.pixels(position))
+            transparent = files.invalid(position)
+            if transparent is not None:
+                invalid |= transparent
+                by = "alpha"
+            else:
+                invalid |= invalid_border(files.pixels(position))
         if not invalid[inner].any():
             rows, columns = (_from_even(each, step) for each in inner)
             return cls(rows, columns, None, None, ())
         invalid |= _outside(inner, shape)
-        rows, columns = (_from_even(each, step) for each in largest_rectangle(~invalid))
-        fact = _masked(invalid, rows, columns, by="border")
+        rows, columns = (_from_even(each, step) for each in _largest_inside(~invalid))
+        fact = _masked(invalid, rows, columns, by=by)
         return cls(rows, columns, None, None, (fact,))
 
     @classmethod
@@ -102,6 +109,17 @@ class ValidArea:
         part = pixels[self.rows, self.columns]
         cut: NDArray[Any] = np.ascontiguousarray(part) if self.invalid is None else part.copy()
         return cut
+
+
+def _largest_inside(valid: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """Return (rows, columns) of about the largest rectangle in which all is valid."""
+    step = max(1, round(max(valid.shape) / _MOST_LINES))
+    rows, columns = (length // step for length in valid.shape)
+    whole = valid[: rows * step, : columns * step].reshape(rows, step, columns, step)
+    found = largest_rectangle(np.asarray(whole.all(axis=(1, 3))))
+    return slice(found[0].start * step, found[0].stop * step), slice(
+        found[1].start * step, found[1].stop * step
+    )
 
 
 def _outside(inner: tuple[slice, slice], shape: Sequence[int]) -> NDArray[np.bool_]:

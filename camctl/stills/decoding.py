@@ -41,6 +41,8 @@ _LEAST_RAW_BYTES = 16  # a header and one directory entry of TIFF, the frame of 
 _JPEG = b"\xff\xd8\xff"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _TIFF_SUFFIXES = (".tif", ".tiff")
+# Of ISO 23008-12 (HEIF) and of AVIF.
+_HEIF_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1", b"avif", b"avis")
 _DNG_VERSION = 50706
 _MIN_IS_BLACK, _RGB = 1, 2  # TIFF 6.0, PhotometricInterpretation
 
@@ -66,6 +68,7 @@ class Still:
         white: brightness from which a sample is saturated, DN
         notes: what the user should know, one line each
         colour: what its R, G and B are; None: not known
+        invalid: which pixels its alpha channel leaves out, (rows, columns); None: none
     """
 
     pixels: Pixels
@@ -75,6 +78,7 @@ class Still:
     white: int
     notes: tuple[str, ...] = ()
     colour: CameraColour | None = None
+    invalid: NDArray[np.bool_] | None = None
 
     @property
     def record(self) -> StillRecord:
@@ -120,6 +124,11 @@ def _read(data: bytes, name: str) -> Still:
         return _read_png(data, name)
     if data.startswith(_TIFF):
         return _read_tiff_family(data, name, is_plain=suffix in _TIFF_SUFFIXES)
+    if data[4:8] == b"ftyp" and data[8:12] in _HEIF_BRANDS:
+        raise UsageError(
+            f"{name} is a HEIF picture (HEIC or AVIF), which is not read",
+            hint="convert it to TIFF of 16 bits, for instance with darktable, or shoot JPEG or raw",
+        )
     if len(data) < _LEAST_RAW_BYTES:
         raise _damaged(name, f"it has only {len(data)} bytes")
     return _read_raw(data, name)
@@ -200,8 +209,9 @@ def _decode(data: bytes, name: str) -> Still:
         raise _damaged(name, error.err or "OpenCV cannot decode it") from None
     if image is None:
         raise _damaged(name, "OpenCV cannot decode it")
-    if image.ndim == 3 and image.shape[2] == 3:
-        image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    if image.ndim == 3 and image.shape[2] in (3, 4):
+        rgb = cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGBA
+        image = cv2.cvtColor(image, rgb)
     return _full_range(np.asarray(image), name)
 
 
@@ -211,6 +221,12 @@ def _full_range(image: NDArray[Any], name: str) -> Still:
         image = image[:, :, 0]
     if image.dtype not in (np.uint8, np.uint16):
         raise _damaged(name, f"samples of type {image.dtype} are not supported")
+    invalid = None
+    if image.ndim == 3 and image.shape[2] in (2, 4):
+        # What is transparent, entirely or in part, is not valid.
+        invalid = image[:, :, -1] < np.iinfo(image.dtype).max
+        image = image[:, :, 0] if image.shape[2] == 2 else image[:, :, :3]
+        invalid = invalid if invalid.any() and not invalid.all() else None
     if image.ndim != 2 and not (image.ndim == 3 and image.shape[2] == 3):
         raise _damaged(name, f"an array of shape {image.shape} is not supported")
     bits = 8 * image.dtype.itemsize
@@ -220,6 +236,7 @@ def _full_range(image: NDArray[Any], name: str) -> Still:
         bits,
         black=0,
         white=2**bits - 1,
+        invalid=invalid,
     )
 
 
@@ -238,7 +255,7 @@ def _read_tiff_family(data: bytes, name: str, *, is_plain: bool) -> Still:
                 if not 0 <= offset < len(data):
                     raise _damaged(name, "a directory lies beyond its end")
             if is_plain:
-                return _read_page(page, name, len(data))
+                return _read_page(page, name, data)
     except (CameraProtocolError, UsageError):
         raise
     except Exception as error:  # a damaged tag can cause any error in tifffile
@@ -252,7 +269,8 @@ def _check_segments(page: Any, name: str, bytes_in_file: int) -> None:
         raise _damaged(name, CUT_SHORT)
 
 
-def _read_page(page: Any, name: str, bytes_in_file: int) -> Still:
+def _read_page(page: Any, name: str, data: bytes) -> Still:
+    bytes_in_file = len(data)
     _check_size(name, page.imagelength, page.imagewidth, bytes_in_file)
     _check_size(name, page.imagelength, page.imagewidth * page.samplesperpixel, bytes_in_file)
     if page.photometric not in (_MIN_IS_BLACK, _RGB):
@@ -264,15 +282,23 @@ def _read_page(page: Any, name: str, bytes_in_file: int) -> Still:
     try:
         image = page.asarray(maxworkers=1)
     except ValueError as error:
-        if "imagecodecs" in str(error):
-            raise UsageError(
-                f"{name} is a compressed TIFF, and imagecodecs is not installed",
-                hint="pip install imagecodecs",
-            ) from None
-        raise
+        if "imagecodecs" not in str(error):
+            raise
+        return _decode_tiff(data, name)
     if page.planarconfig == 2 and image.ndim == 3:
         image = np.moveaxis(image, 0, -1)
     return _full_range(image, name)
+
+
+def _decode_tiff(data: bytes, name: str) -> Still:
+    """Return what OpenCV reads of a compression that tifffile reads with imagecodecs alone."""
+    try:
+        return _decode(data, name)
+    except CameraProtocolError:
+        raise UsageError(
+            f"{name} is a TIFF of a compression that needs imagecodecs, which is not installed",
+            hint="pip install 'camctl[tiff]'",
+        ) from None
 
 
 # ---- camera raw

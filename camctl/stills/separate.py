@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import IO, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from camctl.errors import CameraProtocolError, UsageError
 from camctl.interface.colour import CameraColour
@@ -131,13 +132,11 @@ def _still(answer: bytes, shared: int) -> Still:
     size = int(np.prod(shape, dtype=object))
     if dtype not in (np.uint8, np.uint16) or not 0 < size <= 3 * MAX_PIXELS:
         raise ValueError
-    samples = np.empty(size, dtype)
-    view, filled = samples.view(np.uint8).data, 0
-    while filled < samples.nbytes:
-        count = os.preadv(shared, [view[filled:]], filled)
-        if not count:
-            raise EOFError
-        filled += count
+    samples = _taken(shared, size, dtype, 0)
+    invalid = None
+    if head.get("has_invalid"):
+        flags = _taken(shared, shape[0] * shape[1], np.dtype(np.uint8), samples.nbytes)
+        invalid = flags.reshape(shape[:2]) > 0
     return Still(
         samples.reshape(shape),
         Layout(head["layout"]),
@@ -146,7 +145,20 @@ def _still(answer: bytes, shared: int) -> Still:
         int(head["white"]),
         tuple(str(each) for each in head["notes"]),
         _colour(head.get("colour")),
+        invalid,
     )
+
+
+def _taken(shared: int, size: int, dtype: np.dtype[Any], at: int) -> NDArray[Any]:
+    """Return so many samples from a place of a file; raises `EOFError` where it ends before."""
+    samples = np.empty(size, dtype)
+    view, filled = samples.view(np.uint8).data, 0
+    while filled < samples.nbytes:
+        count = os.preadv(shared, [view[filled:]], at + filled)
+        if not count:
+            raise EOFError
+        filled += count
+    return samples
 
 
 def _colour(found: Any) -> CameraColour | None:

@@ -46,6 +46,8 @@ def _answer(shared: int, request: dict[str, Any]) -> dict[str, Any]:
         still = read_still(os.pread(shared, request["bytes"], 0), name)
         pixels = np.ascontiguousarray(still.pixels)
         put(shared, pixels.reshape(-1).view(np.uint8).data)
+        if still.invalid is not None:
+            put(shared, np.ascontiguousarray(still.invalid).view(np.uint8).data, pixels.nbytes)
     except CamctlError as error:
         return {"error": type(error).__name__, "what": error.what, "hint": error.hint}
     except MemoryError:
@@ -59,15 +61,16 @@ def _answer(shared: int, request: dict[str, Any]) -> dict[str, Any]:
         "black": still.black,
         "white": still.white,
         "notes": still.notes,
+        "has_invalid": still.invalid is not None,
         "colour": None if still.colour is None else asdict(still.colour),
     }
 
 
-def put(file: int, content: bytes | memoryview) -> None:
-    """Write to the beginning of a file that another process has open with the same position."""
-    view, done = memoryview(content), 0
+def put(file: int, content: bytes | memoryview, at: int = 0) -> None:
+    """Write to a place of a file that another process has open with the same position."""
+    view, done = memoryview(content).cast("B"), 0
     while done < len(view):
-        done += os.pwrite(file, view[done:], done)
+        done += os.pwrite(file, view[done:], at + done)
 
 
 def _limit_memory() -> None:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from camctl.errors import CameraProtocolError, UsageError
 from camctl.interface.controls import Layout
 from camctl.stills.decoding import MAX_PIXELS, read_still
+from camctl.stills.separate import read_apart
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -73,6 +74,9 @@ def dng(
     return tiff(samples, photometric=32803, extratags=tags)
 
 
+RGBA8 = np.dstack((RGB8, np.full(RGB8.shape[:2], 255, np.uint8)))
+RGBA8[:3, :5, 3] = 100
+
 FILES = {
     "a.jpg": coded(".jpg", RGB8, cv2.IMWRITE_JPEG_QUALITY, 95),
     "p.jpg": coded(".jpg", RGB8, cv2.IMWRITE_JPEG_PROGRESSIVE, 1),
@@ -92,6 +96,8 @@ FILES = {
         ("a.tif", FILES["a.tif"], RGB16),
         ("g.tif", tiff(GREY16), GREY16),
         ("z.tif", FILES["z.tif"], GREY16),
+        ("lzw.tif", coded(".tif", RGB8), RGB8),
+        ("tiles.tif", tiff(RGB8, photometric="rgb", tile=(16, 16), compression="zlib"), RGB8),
         ("planes.tif", tiff(RGB8.transpose(2, 0, 1), photometric="rgb", planarconfig=2), RGB8),
         ("big.tif", tiff(GREY8, byteorder=">"), GREY8),
     ],
@@ -233,3 +239,29 @@ def test_listing_cameras_imports_neither_opencv_nor_tifffile() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.tif", "apart.png"])
+def test_an_alpha_channel_says_what_is_not_valid(name: str) -> None:
+    if name.endswith(".png"):
+        data = cv2.imencode(".png", cv2.cvtColor(RGBA8, cv2.COLOR_RGBA2BGRA))[1].tobytes()
+    else:
+        data = tiff(RGBA8, photometric="rgb", extrasamples=["unassalpha"], compression="zlib")
+    still = (read_apart if name.startswith("apart") else read_still)(data, name)
+    assert np.array_equal(still.pixels, RGB8)
+    assert still.invalid is not None
+    assert np.array_equal(still.invalid, RGBA8[..., 3] < 255)
+
+
+def test_an_opaque_alpha_channel_leaves_all_valid() -> None:
+    opaque = np.dstack((RGB8, np.full(RGB8.shape[:2], 255, np.uint8)))
+    still = read_still(tiff(opaque, photometric="rgb", extrasamples=["unassalpha"]), "a.tif")
+    assert np.array_equal(still.pixels, RGB8)
+    assert still.invalid is None
+
+
+def test_heif_pictures_are_refused_with_what_to_do() -> None:
+    with pytest.raises(UsageError) as raised:
+        read_still(bytes(3) + b"\x18ftypheic" + bytes(100), "IMG_1.HEIC")
+    assert "HEIF" in raised.value.what
+    assert "TIFF" in raised.value.hint
