@@ -7,12 +7,13 @@ Names in it come from files, cameras and arguments, and may hold characters that
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Protocol, TextIO, TypeAlias, cast
 
 from camctl.errors import StorageError, visible
@@ -82,7 +83,9 @@ class _UnfailingStream:
 
 def discard(stream: TextIO) -> None:
     """Point a stream at the null device, so that the interpreter can flush it when it ends."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    with suppress(io.UnsupportedOperation):  # of a stream in memory nothing is flushed
+        descriptor = stream.fileno()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)
 
 
 def print_text(text: str) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import os
 import re
 import resource
@@ -18,6 +20,9 @@ import tifffile
 from camctl_process import RESUME, SHOOT, Ended, camctl
 from command_line import Run
 from crash_sweep import damaged
+
+from camctl.cli.output import print_text
+from camctl.errors import StorageError
 
 UNKNOWN = ("--scene", "uniform", "-n", "2", "--range", "5")
 """Exposures that are not in the built-in table."""
@@ -356,3 +361,15 @@ def write_map(path: Path, values: Any) -> None:
             file.write(str(path))
     else:
         cv2.imwrite(str(path), np.repeat(values[..., None], 3, axis=2))
+
+
+def test_a_stream_in_memory_that_cannot_be_written_is_one_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Full(io.StringIO):
+        def write(self, text: str) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(sys, "stdout", Full())
+    with pytest.raises(StorageError, match="no space left on device"):
+        print_text("anything")
