@@ -103,7 +103,8 @@ def _write(text: str) -> None:
     if stream is None:
         raise _output_error("it is closed")
     try:
-        stream.write(text.encode(stream.encoding, "backslashreplace").decode(stream.encoding))
+        encoding = stream.encoding or "utf-8"  # a stream in memory has none
+        stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
         stream.write("\n")
         stream.flush()
     except OSError as error:
@@ -170,7 +171,7 @@ def print_json(value: object) -> None:
     value = to_json(value)
     if isinstance(value, dict) and not {"format_version", "$schema"} & set(value):
         value = {"format_version": FORMAT_VERSION, **value}
-    encoding = sys.stdout.encoding if sys.stdout is not None else "utf-8"
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     is_unicode = encoding.lower() in ("utf-8", "utf8")
     text = json.dumps(value, indent=2, allow_nan=False, ensure_ascii=not is_unicode)
     _write("\n".join(map(_visible_json, text.split("\n"))))
