@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from camctl.errors import UsageError
 from camctl.model.response.camera import CameraResponse, FloatArray
@@ -117,61 +117,6 @@ class EffectiveCamera:
     def levels_distinct(self) -> int:
         """Number of different levels, one less than the number of sums that can occur."""
         return int(self.distinct.size)
-
-    def irradiance_table(self) -> FloatArray:
-        """Return (n*M + 1,) float64: the irradiance of each sum 0..n*M, black subtracted.
-
-        It is the midpoint of the gap of that sum; a sum that coincident levels skip gets their
-        level.  Sum 0 lies below the first level and gets 0, sum n*M is saturated and gets the last
-        level: the caller must mask both.
-        """
-        table = np.empty(self.levels.size + 1)
-        table[0] = 0.0
-        table[1:-1] = (self.levels[:-1] + self.levels[1:]) / 2
-        table[-1] = self.levels[-1]
-        return table
-
-    def standard_deviation(
-        self,
-        E: ArrayLike,
-        *,
-        electrons_per_level: float | Sequence[float],
-        read_noise_levels: float | Sequence[float],
-    ) -> FloatArray:
-        """Return the predicted standard deviation of the irradiance that the sum gives.
-
-        Each frame that is not saturated at E adds its variance in DN: photon noise (for a linear
-        camera s / K at s levels of K electrons), read noise squared and 1/12 of quantisation.  A
-        saturated frame is clipped at the white level before summing and adds neither noise nor
-        slope.  The variance of the irradiance is the sum of the variances over the square of the
-        slope of h.
-
-        Args:
-            E: irradiance, any shape, in the unit of `levels`
-            electrons_per_level: electrons of one brightness level of the linear scale (full scale,
-                M + 1 levels, is E = 1 at exposure 1): one number, or one for each frame if their
-                gains differ
-            read_noise_levels: read noise in brightness levels (DN), one or one for each frame
-
-        Returns:
-            standard deviation, float64 in the shape and unit of E; infinite where every frame is
-            saturated
-        """
-        E = np.asarray(E, dtype=np.float64)
-        n = len(self.exposures)
-        gains = np.broadcast_to(np.asarray(electrons_per_level, dtype=np.float64), (n,))
-        reads = np.broadcast_to(np.asarray(read_noise_levels, dtype=np.float64), (n,))
-        variance = np.zeros(E.shape)
-        slope = np.zeros(E.shape)
-        for e, electrons, read in zip(self.exposures, gains, reads, strict=True):
-            x = e * E
-            frame_slope = self.response.slope(x)
-            unsaturated = x < self.response.levels[-1]
-            photon = frame_slope**2 * x / (electrons * (self.response.M + 1))
-            variance += np.where(unsaturated, photon + read**2 + 1 / 12, 0.0)
-            slope += np.where(unsaturated, e * frame_slope, 0.0)
-        known = slope > 0
-        return np.where(known, np.sqrt(variance) / np.where(known, slope, 1.0), np.inf)
 
 
 def effective_levels(camera: EffectiveCamera, desired: DesiredResponse) -> float:

@@ -63,22 +63,6 @@ def check_plots(paths: tuple[Path, ...], *, overwrite: bool) -> None:
         require_matplotlib()
 
 
-def spread_out(heights: list[float], gap: float) -> list[float]:
-    """Return heights of labels, 0 to 1, near those given, at least `gap` apart, same order.
-
-    >>> spread_out([0.5, 0.5, 0.98], 0.1)
-    [0.5, 0.6, 0.95]
-    """
-    order = sorted(range(len(heights)), key=heights.__getitem__)
-    found, last = list(heights), gap / 2 - gap
-    for index in order:  # upwards
-        found[index] = last = max(heights[index], last + gap)
-    last = 1 + gap / 2
-    for index in reversed(order):  # down again from the top
-        found[index] = last = min(found[index], last - gap)
-    return [round(height, 9) for height in found]
-
-
 def plain_ticks(axis: Axis) -> None:
     """Write the numbers of a logarithmic axis in full, as 0.2, 1, 20, for what it shows now."""
     from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator

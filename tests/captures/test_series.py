@@ -377,4 +377,4 @@ def test_500_sets_neither_drift_nor_grow(tmp_path: Path) -> None:
     assert objects[1] - objects[0] < 390 * 7
     assert open_files[0] == open_files[1]
     assert threads[0] == threads[1]
-    assert len(list((tmp_path / "series" / "thumbnails").iterdir())) == 1000
+    assert len(list((tmp_path / "series" / "thumbnails").iterdir())) == 500

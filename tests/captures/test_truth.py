@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,28 @@ from camctl.sim.scenes.scene import Scene, load_scene
 from camctl.sim.sensors.sensor import Sensor, load_sensor
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+
+
+def deviation_of_sum(
+    camera: EffectiveCamera, E: NDArray[np.float64], sensor: Sensor, gains: Sequence[float]
+) -> NDArray[np.float64]:
+    """Return the standard deviation of the irradiance that the sum gives, at irradiances E.
+
+    Each frame that is not saturated adds its variance in DN, photon noise, read noise and 1/12 of
+    quantisation; their sum is divided by the square of the slope of the sum.
+    """
+    variance, slope = np.zeros(E.shape), np.zeros(E.shape)
+    for exposure, gain in zip(camera.exposures, gains, strict=True):
+        x = exposure * E
+        rise = camera.response.slope(x)
+        electrons = sensor.electrons_per_dn / gain * (camera.response.M + 1)
+        read = sensor.read_noise_e / sensor.electrons_per_dn * gain
+        is_used = x < camera.response.levels[-1]
+        variance += np.where(is_used, rise**2 * x / electrons + read**2 + 1 / 12, 0.0)
+        slope += np.where(is_used, exposure * rise, 0.0)
+    deviation = np.full(E.shape, np.inf)
+    np.divide(np.sqrt(variance), slope, out=deviation, where=slope > 0)
+    return deviation
 
 
 def relative_errors(scene: Scene, sensor: Sensor, request: CaptureRequest) -> NDArray[np.float64]:
@@ -36,13 +59,7 @@ def relative_errors(scene: Scene, sensor: Sensor, request: CaptureRequest) -> ND
     for channel in range(radiance.shape[2]):
         E = truth[..., min(channel, truth.shape[2] - 1)].astype(np.float64) * full_scale
         inside = (mask[..., channel] == 0) & (1 / report.plan.dynamic_range <= E) & (E < 1)
-        predicted = effective.standard_deviation(
-            E[inside],
-            electrons_per_level=[sensor.electrons_per_dn / gain for gain in gains],
-            read_noise_levels=[
-                sensor.read_noise_e / sensor.electrons_per_dn * gain for gain in gains
-            ],
-        )
+        predicted = deviation_of_sum(effective, E[inside], sensor, gains)
         error = radiance[..., channel][inside] * full_scale - E[inside]
         found.append(np.abs(error) / predicted)
     return np.concatenate(found)

@@ -58,51 +58,6 @@ def test_a_chain_of_close_levels_is_not_one_group() -> None:
     assert np.array_equal(camera.distinct, camera.levels[::2])
 
 
-def test_irradiance_table_holds_the_midpoint_of_each_gap() -> None:
-    """Levels 1/8 1/4 1/4 3/8 1/2 3/4: two coincide, so that the sum 2 cannot occur."""
-    camera = EffectiveCamera.of(linear_response(2), (1, 2))
-    assert camera.levels.tolist() == [0.125, 0.25, 0.25, 0.375, 0.5, 0.75]
-    table = camera.irradiance_table()
-    assert table.tolist() == [0.0, 0.1875, 0.25, 0.3125, 0.4375, 0.625, 0.75]
-
-
-def test_inverse_of_the_sum_of_frames_is_within_half_a_gap() -> None:
-    exposures = (1, 1.003, 2.985)
-    camera = EffectiveCamera.of(EIGHT_BIT, exposures)
-    E = np.linspace(camera.levels[0] * (1 + 1e-9), camera.levels[-1] * (1 - 1e-9), 9999)
-    sums = sum(np.clip(np.floor(e * E * 256), 0, 255).astype(np.int64) for e in exposures)
-    half_gap = (camera.levels[sums] - camera.levels[sums - 1]) / 2
-    assert np.all(np.abs(camera.irradiance_table()[sums] - E) <= half_gap + 1e-15)
-
-
-def test_predicted_standard_deviation_agrees_with_simulated_frames() -> None:
-    """200,000 noisy pixels of three frames, each sum converted to irradiance."""
-    rng = np.random.default_rng(11)
-    electrons, read = 12.0, 1.5
-    exposures = (1.0, 3.3, 11.0)
-    camera = EffectiveCamera.of(EIGHT_BIT, exposures)
-    for E in (0.03, 0.2, 0.7):
-        total = np.zeros(200_000, dtype=np.int64)
-        for e in exposures:
-            signal = rng.poisson(e * E * 256 * electrons, total.size) / electrons
-            frame = np.floor(signal + rng.normal(0, read, total.size))
-            total += np.clip(frame, 0, 255).astype(np.int64)
-        measured = np.std(camera.irradiance_table()[total])
-        predicted = camera.standard_deviation(
-            E, electrons_per_level=electrons, read_noise_levels=read
-        )
-        assert measured == pytest.approx(predicted, rel=0.03)
-
-
-def test_standard_deviation_is_infinite_where_every_frame_is_saturated() -> None:
-    camera = EffectiveCamera.of(EIGHT_BIT, (1, 2))
-    deviation = camera.standard_deviation(
-        [0.1, 0.999], electrons_per_level=[10, 5], read_noise_levels=1
-    )
-    assert np.isfinite(deviation[0])
-    assert np.isinf(deviation[1])
-
-
 @pytest.mark.parametrize(
     ("exposures", "message"),
     [
