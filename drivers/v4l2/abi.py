@@ -207,9 +207,32 @@ class LongValues(ctypes.Structure):
 _READ, _WRITE = 2, 1  # directions of an ioctl
 
 
-def _request(direction: int, number: int, structure: type[ctypes.Structure]) -> int:
-    """Return the number of an ioctl: direction, size, 'V', index (asm-generic/ioctl.h)."""
-    return direction << 30 | ctypes.sizeof(structure) << 16 | ord("V") << 8 | number
+class Entity(ctypes.Structure):
+    """A part of a media device: struct media_entity_desc of linux/media.h."""
+
+    _fields_ = (
+        ("id", _U32),
+        ("name", _U8 * 32),
+        *_words("type revision flags group_id"),
+        ("pads", ctypes.c_uint16),
+        ("links", ctypes.c_uint16),
+        ("reserved", _U32 * 4),
+        *_words("major minor"),
+        ("raw", _U8 * 176),
+    )
+
+
+class PadFormat(ctypes.Structure):
+    """The format of a pad of a subdevice: struct v4l2_subdev_format of linux/v4l2-subdev.h."""
+
+    _fields_ = (*_words("which pad width height code field"), ("rest", _U8 * 64))
+
+
+def _request(
+    direction: int, number: int, structure: type[ctypes.Structure], kind: str = "V"
+) -> int:
+    """Return the number of an ioctl: direction, size, kind, index (asm-generic/ioctl.h)."""
+    return direction << 30 | ctypes.sizeof(structure) << 16 | ord(kind) << 8 | number
 
 
 class Request(IntEnum):
@@ -233,6 +256,8 @@ class Request(IntEnum):
     G_EXT_CTRLS = _request(_READ | _WRITE, 71, LongValues)
     ENUM_FRAMESIZES = _request(_READ | _WRITE, 74, SizeQuery)
     ENUM_FRAMEINTERVALS = _request(_READ | _WRITE, 75, IntervalQuery)
+    SUBDEV_G_FMT = _request(_READ | _WRITE, 4, PadFormat)
+    ENUM_ENTITIES = _request(_READ | _WRITE, 1, Entity, "|")
 
 
 class Caps(IntFlag):

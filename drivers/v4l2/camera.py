@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, StringConstraints
@@ -16,7 +17,7 @@ from pydantic import BeforeValidator, Field, StringConstraints
 from camctl.drivers.common.gain_unit import GainUnit, parse_gain
 from camctl.drivers.common.stream_camera import StreamCamera
 from camctl.drivers.v4l2.capture import Capture, StreamMode, choose_mode
-from camctl.drivers.v4l2.controls import ExposureControl
+from camctl.drivers.v4l2.controls import EXPOSURES, ExposureControl
 from camctl.drivers.v4l2.formats import SampleScale, choose_format, sample_scale
 from camctl.drivers.v4l2.kernel import Kernel
 from camctl.drivers.v4l2.node import Node
@@ -81,6 +82,7 @@ class V4l2Camera(StreamCamera[Pixels]):
         options: see `V4l2Options`
         clock: the clock of the frames' timestamps; the system's monotonic one by default
         kernel: the system calls, replaced in tests
+        root: of the files of the system, likewise
 
     Raises:
         UsageError: an option that this camera does not support
@@ -100,11 +102,12 @@ class V4l2Camera(StreamCamera[Pixels]):
         *,
         clock: Clock | None = None,
         kernel: Kernel | None = None,
+        root: Path = Path("/"),
     ) -> None:
         super().__init__(path, clock or RealClock())
         self._path = path
         self._options = options or V4l2Options()
-        self._kernel = kernel
+        self._kernel, self._root = kernel, root
 
     @property
     def mode(self) -> str:
@@ -139,7 +142,7 @@ class V4l2Camera(StreamCamera[Pixels]):
         capture = Capture(node, mode)
         resources.callback(capture.close)
         self._mode = StreamMode(format_, shape, capture.interval_s)
-        exposure = ExposureControl(node, shape[1], options.gain)
+        exposure = self._exposure(node, shape[1], resources)
         self._scale = scale = sample_scale(
             format_,
             node.current_format(),
@@ -184,6 +187,16 @@ class V4l2Camera(StreamCamera[Pixels]):
                 *delay.findings(info.id),
             ),
         )
+
+    def _exposure(self, node: Node, columns: int, resources: ExitStack) -> ExposureControl:
+        """Return the exposure of a node, or of the sensor behind it where it has none itself."""
+        gain = self._options.gain
+        if not any(node.control(each) for each in EXPOSURES):
+            sensor = node.sensor(self._root)
+            if sensor is not None:
+                resources.enter_context(sensor)
+                return ExposureControl(sensor, sensor.columns() or columns, gain)
+        return ExposureControl(node, columns, gain)
 
     def _close(self) -> None:
         self._open_resources.close()

@@ -69,6 +69,10 @@ class TimeUnit:
 GAINS = (ControlId.GAIN, ControlId.ANALOGUE_GAIN)
 
 
+#: Controls for the time of an exposure: a node has one of them.
+EXPOSURES = (ControlId.EXPOSURE_ABSOLUTE, ControlId.EXPOSURE)
+
+
 class ExposureControl:
     """The exposure of an open node, set to manual.
 

@@ -12,10 +12,12 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Self, TypeAlias, TypeVar
 
 from camctl.drivers.v4l2 import abi
 from camctl.drivers.v4l2.kernel import Kernel, Linux, Memory
+from camctl.drivers.v4l2.media import sensor_columns, sensor_of
 from camctl.drivers.v4l2.system import camera_error
 from camctl.errors import CameraError, CameraNotFoundError, CameraProtocolError
 from camctl.interface.clock import wait_for
@@ -331,6 +333,19 @@ class Node:
         """Return the value of a control."""
         found = self.query(abi.Request.G_CTRL, abi.ControlValue(id=control), "read a control of")
         return int(found.value)
+
+    def sensor(self, root: Path) -> Node | None:
+        """Return the node of the sensor behind this one, opened; None where there is none.
+
+        Raises:
+            CameraError: there are several, or it cannot be opened
+        """
+        found = sensor_of(self.path, self._kernel, root)
+        return None if found is None else Node(found, self._kernel)
+
+    def columns(self) -> int | None:
+        """Return the columns that the sensor of this node reads; None where it does not say."""
+        return sensor_columns(self._opened(), self._kernel)
 
     def long_value(self, control: int) -> int | None:
         """Return the value of a control of up to 64 bits; None where the camera has none."""

@@ -28,7 +28,7 @@ from camctl.errors import CamctlError, CameraProtocolError
 from camctl.interface.controls import Layout
 
 #: Number of each ioctl, its structure, and the size of that in bytes, as printed by a C program
-#: with linux/videodev2.h on x86-64.
+#: with linux/videodev2.h, linux/v4l2-subdev.h and linux/media.h on x86-64.
 KERNEL: dict[Request, tuple[int, type[ctypes.Structure], int]] = {
     Request.QUERYCAP: (0x80685600, abi.Capability, 104),
     Request.ENUM_FMT: (0xC0405602, abi.FormatDescription, 64),
@@ -48,7 +48,14 @@ KERNEL: dict[Request, tuple[int, type[ctypes.Structure], int]] = {
     Request.QUERYMENU: (0xC02C5625, abi.MenuQuery, 44),
     Request.ENUM_FRAMESIZES: (0xC02C564A, abi.SizeQuery, 44),
     Request.ENUM_FRAMEINTERVALS: (0xC034564B, abi.IntervalQuery, 52),
+    Request.SUBDEV_G_FMT: (0xC0585604, abi.PadFormat, 88),
+    Request.ENUM_ENTITIES: (0xC1007C01, abi.Entity, 256),
 }
+
+
+def test_fields_of_a_media_device_are_where_the_kernel_has_them() -> None:
+    found = abi.Entity.type, abi.Entity.links, abi.Entity.major, abi.PadFormat.width
+    assert [each.offset for each in found] == [36, 54, 72, 8]
 
 
 @pytest.mark.parametrize("request_", list(Request), ids=lambda each: each.name)
