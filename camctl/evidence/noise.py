@@ -61,6 +61,7 @@ class _Patches:
             steps of the shorter frame, k = 1, 2, ...
         freedom: degrees of freedom of the variance
         is_even: whether a patch has so little contrast that its variance is noise
+        is_plain: whether errors of its colours, which frames share, are small
     """
 
     variance: _Floats
@@ -70,6 +71,7 @@ class _Patches:
     phases: NDArray[np.complexfloating[Any, Any]]
     freedom: _Floats
     is_even: NDArray[np.bool_]
+    is_plain: NDArray[np.bool_]
 
     @staticmethod
     def joined(parts: Sequence[_Patches]) -> _Patches:
@@ -250,6 +252,7 @@ def fit_noise(
     exposures: Sequence[float],
     gains: Sequence[float],
     black: int,
+    plain: NDArray[np.bool_] | None = None,
 ) -> NoiseFit | None:
     """Return the noise that patches show; None where too few are in range in two frames.
 
@@ -259,6 +262,7 @@ def fit_noise(
         exposures: relative exposures of the frames
         gains: linear gain of each frame
         black: black level, DN
+        plain: patches that show what compression adds, (patches,); None: all
     """
     if len(exposures) < 2:
         return None
@@ -271,6 +275,7 @@ def fit_noise(
             [gains[k] for k in pair],
             sensor,
             response.M + 1.0,
+            np.ones(len(samples[0]), np.bool_) if plain is None else plain,
         )
         for pair in zip(order[:-1].tolist(), order[1:].tolist(), strict=True)
     ]
@@ -283,7 +288,9 @@ def fit_noise(
         neighbours = fit.neighbours()
     except np.linalg.LinAlgError:
         return None
-    compression = everywhere.compression(fit.noise) if response.M <= _COMPRESSED else 0.0
+    shown = everywhere.where(everywhere.is_plain)
+    is_shown = response.M <= _COMPRESSED and shown.variance.size >= _LEAST_PATCHES
+    compression = shown.compression(fit.noise) if is_shown else 0.0
     return NoiseFit(fit.noise, neighbours, int(patches.freedom.sum()), compression)
 
 
@@ -311,6 +318,7 @@ def _pair(
     gains: Sequence[float],
     sensor: SensorModel,
     full: float,
+    plain: NDArray[np.bool_],
 ) -> _Patches:
     """Return the patches of a shorter and a longer frame that are in range in both.
 
@@ -346,4 +354,5 @@ def _pair(
         phases,
         np.maximum(count[used] - 1.0, 1.0),
         is_even[used],
+        plain[used],
     )

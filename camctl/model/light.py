@@ -157,12 +157,16 @@ class LightTables:
         lights: (B,) the middle of each bin of light
         deviation: (B,) float32, standard deviation of an estimate in each bin
         of_sum: (B,) that of the light that the sum of the frames shows
+        exposures: (n,) of the frames, relative to the shortest
+        spreads: (n, B) float32, standard deviation of a sample of each frame, as irradiance
+        steps: (n, B) float32, step of its quantiser, likewise
+        clipped: (n, B) whether noise clips a sample at the lowest value
     """
 
     def __init__(self, frames: FrameSet) -> None:
         self.sensor = sensor = SensorModel(frames.response, frames.black)
         self._posterior = StepPosterior(frames, sensor)
-        exposures = np.array(frames.exposures)
+        self.exposures = exposures = np.array(frames.exposures)
         dark = np.array([each.dark_levels * sensor.level for each in frames.noise])
         light = (sensor.light - dark[:, np.newaxis]) / exposures[:, np.newaxis]
         self.irradiance: Floats32 = light.astype(np.float32)
@@ -186,7 +190,10 @@ class LightTables:
         self._white = sensor.highest(None) + 1 if is_compressed else sensor.white
         lost = found.saturated & (found.share == 0) if is_compressed else found.saturated
         self._saturating = np.argmax(lost, axis=1)
-        self._spreads: Floats32 = found.spread.astype(np.float32)
+        self.spreads: Floats32 = found.spread.astype(np.float32)
+        steps = sensor.step(exposures[:, np.newaxis] * self.lights) / exposures[:, np.newaxis]
+        self.steps: Floats32 = steps.astype(np.float32)
+        self.clipped = found.clipped
         lost = np.where(found.clipped, found.share, 0.0).sum(axis=0) > _NOTABLE
         undithered = (found.share > _DECISIVE) & (found.steps < _DITHERED)
         self._exact = lost | undithered.any(axis=0)
@@ -269,7 +276,7 @@ class LightTables:
             if not chosen.size:
                 continue
             mean, spread = E[chosen].astype(np.float64), deviation[chosen].astype(np.float64)
-            other = self._spreads[place].take(bins[chosen])
+            other = self.spreads[place].take(bins[chosen])
             share = spread**2 / (spread**2 + other**2)
             measured = mean + share * (samples[place][chosen] - mean)
             full = float(self.irradiance[place, -1])

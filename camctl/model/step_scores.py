@@ -66,7 +66,8 @@ class StepScores:
         ):
             x = (exposure * lights + noise.dark_levels * sensor.level)[:, np.newaxis]
             offset = noise.dsnu_levels * sensor.level
-            least = (_LEAST_NOISE * sensor.step(x)) ** 2
+            # Where measured levels coincide, a step has no width.
+            least = (_LEAST_NOISE * np.maximum(sensor.step(x), 1e-6 * sensor.level)) ** 2
             variance = np.maximum(sensor.spread(x, noise) + offset**2, least)
             sigma = np.sqrt(variance)
             growth = exposure * sensor.level / noise.electrons_per_level / (2 * variance)

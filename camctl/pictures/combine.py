@@ -48,9 +48,9 @@ class Combination:
     Attributes:
         irradiance: float32; a light that just saturates a frame of exposure e has
             (M + phase of the quantiser) / (M + 1) / e, where M = white - black
-        sd: float32, its standard deviation: infinite where every frame is saturated, NaN where the
-            noise is not known
-        mask: uint8: 1 no light can be distinguished from black, 2 saturated in every frame,
+        sd: float32, its standard deviation: infinite where every frame is saturated, or may be so
+            beside saturated colours of a JPEG file, NaN where the noise is not known
+        mask: uint8: 1 no light can be distinguished from black, 2 `sd` is infinite,
             4 frames contradict each other, as where something moved (not with method "sum")
         sum: uint16 or uint32, the sum of min(frame, white), black included
         noise: of each frame, for each channel that has its own; empty where it is not known
@@ -140,7 +140,7 @@ def _combined(light: FrameLight, pictures: list[NDArray[Any]], black: int) -> Co
         found = light.rows([each[rows] for each in pictures], sums)
         irradiance[rows], sd[rows] = found
         mask[rows][(sums <= count * black) | (sd[rows] >= irradiance[rows])] = DARK
-        mask[rows][sums == count * light.white] = SATURATED
+        mask[rows][(sums == count * light.white) | np.isinf(sd[rows])] = SATURATED
 
     step = max(2, _STRIP // math.prod(shape[1:]) & ~1)
     strips = (slice(first, first + step) for first in range(0, shape[0], step))

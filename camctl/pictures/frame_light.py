@@ -15,18 +15,20 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.evidence.chroma import ROUNDING, has_few_chroma_samples, patch_chroma_variance
 from camctl.evidence.noise import NoiseFit, electrons_per_level, fit_noise
 from camctl.evidence.patches import Patches
 from camctl.interface.controls import Layout
 from camctl.model.distribution import MAX_READ_NOISE
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import posterior_of
-from camctl.model.light import Floats32, is_certain, light_tables
+from camctl.model.light import Floats32, LightTables, is_certain, light_tables
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import DesiredResponse, desired_response
-from camctl.model.sensor import CLIPPING_SIGMAS, JPEG_ERROR
+from camctl.model.sensor import CLIPPING_SIGMAS, JPEG_ERROR, SensorModel
 from camctl.model.step_posterior import FrameSet
+from camctl.pictures.chroma_light import NOTABLE, share_chroma_errors
 
 #: Samples of a block: its arrays, some 20 of 4 bytes a sample, stay in a cache of 2 MB.
 _BLOCK = 1 << 14
@@ -60,12 +62,14 @@ class Estimator:
         light: some lights, ascending, irradiance at exposure 1
         deviation: of an estimate at each of them; NaN where it is not known
         gain: the standard deviation of the sum's light over `deviation`, likewise
+        tables: that it uses; None: of a sum
     """
 
     estimate: Estimate
     light: NDArray[np.floating[Any]]
     deviation: NDArray[np.floating[Any]]
     gain: NDArray[np.floating[Any]]
+    tables: LightTables | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,19 +132,23 @@ class FrameLight:
         noise: of each frame, for each part; empty where it is not known
         white: brightness at which frames are clipped, DN
         unit: irradiance in the result times this is irradiance at exposure 1
+        chroma: what estimates red, green and blue where frames have few samples of the differences
+            of these; empty where that is not so
     """
 
     parts: tuple[tuple[Part, Estimator], ...]
     noise: tuple[tuple[FrameNoise, ...], ...]
     white: int
     unit: float
+    chroma: tuple[LightTables, ...] = ()
 
     def rows(
         self, frames: Sequence[NDArray[Any]], total: NDArray[np.unsignedinteger]
     ) -> tuple[Floats32, Floats32]:
         """Return the irradiance and its standard deviation; arrays in the shape of `total`.
 
-        The deviation is infinite where every frame is saturated, NaN where noise is not known.
+        The deviation is infinite where every frame is or may be saturated, NaN where noise is not
+        known.
 
         Args:
             frames: the same rows of each frame, from an even one on, black included
@@ -157,6 +165,9 @@ class FrameLight:
                     values = [np.minimum(each, white) for each in values]
                 found = estimator.estimate([np.ravel(each) for each in values], np.ravel(sums))
                 light[...], error[...] = (each.reshape(light.shape) for each in found)
+        if self.chroma:
+            clipped = [np.minimum(each, self.white) for each in frames]
+            share_chroma_errors(clipped, self.chroma, irradiance, deviation)
         irradiance *= np.float32(1 / self.unit)
         deviation *= np.float32(1 / self.unit)
         return irradiance, deviation
@@ -226,16 +237,23 @@ def frame_light(
         prior: what a sum is inverted with; None: all light is equally probable
     """
     gains = gains or [1.0] * len(exposures)
-    of_parts = zip(*(np.array_split(each, len(parts)) for each in samples), strict=True)
+    is_sum = method == "sum" or (noise is not None and is_noiseless(noise))
+    plain, least = None, [0.0] * len(parts)
+    highest = SensorModel(parts[0].response, black).highest(None)
+    if not is_sum and len(parts) == len(_LETTERS) and has_few_chroma_samples(samples, highest):
+        least = ROUNDING.tolist()
+        plain = np.all([patch_chroma_variance(each) <= NOTABLE for each in samples], axis=0)
     found, noises = [], []
-    for part, patches in zip(parts, of_parts, strict=True):
+    for at, part in enumerate(parts):
+        patches = [np.array_split(each, len(parts))[at] for each in samples]
         fit = None
         if noise is None:
-            fit = fit_noise(part.response, patches, exposures, gains, black)
-        frames = _frame_set(part.response, black, exposures, noise, fit, gains)
+            shown = None if plain is None else np.array_split(plain, len(parts))[at]
+            fit = fit_noise(part.response, patches, exposures, gains, black, shown)
+        frames = _frame_set(part.response, black, exposures, noise, fit, gains, least[at])
         is_known = noise is not None or fit is not None
         # By theorem 1 of the paper the sum loses nothing where there is no noise.
-        if method == "sum" or (noise is not None and is_noiseless(noise)):
+        if is_sum:
             estimate = _sum(frames, prior, is_known=is_known)
         else:
             estimate = _likelihood(frames, fit, gains, is_known=is_known)
@@ -243,7 +261,8 @@ def frame_light(
         if is_known:
             noises.append(frames.noise)
     white = black + parts[0].response.M
-    return FrameLight(tuple(found), tuple(noises), white, unit)
+    tables = [each.tables for _, each in found if plain is not None and each.tables is not None]
+    return FrameLight(tuple(found), tuple(noises), white, unit, tuple(tables))
 
 
 def is_noiseless(noise: Sequence[FrameNoise]) -> bool:
@@ -263,13 +282,20 @@ def _frame_set(
     known: Sequence[FrameNoise] | None,
     fit: NoiseFit | None,
     gains: Sequence[float],
+    compression: float,
 ) -> FrameSet:
-    """Return the frames with their noise; photon noise stands for one that is not known."""
+    """Return the frames with their noise; photon noise stands for one that is not known.
+
+    `compression` is the least error that the compression of a file adds, levels.
+    """
     if known is None:
         stand_in = response.M / _STAND_IN_E, 0.0
-        compression = 0.0 if fit is None else fit.compression_levels
+        if fit is not None:
+            compression = max(compression, fit.compression_levels)
         inverse_square = stand_in if fit is None else fit.noise.tolist()
         known = _frame_noise(inverse_square, compression, black, gains)
+    elif compression:
+        known = [replace(each, compression_levels=compression) for each in known]
     return FrameSet(response, black, tuple(exposures), tuple(known))
 
 
@@ -296,11 +322,9 @@ def _likelihood(
     tables = light_tables(frames)
     certain = np.full(tables.deviation.shape, is_known)
     if fit is not None:
+        compression = frames.noise[0].compression_levels
         others = [
-            replace(
-                frames,
-                noise=_frame_noise(each.tolist(), fit.compression_levels, frames.black, gains),
-            )
+            replace(frames, noise=_frame_noise(each.tolist(), compression, frames.black, gains))
             for each in fit.neighbours
         ]
         certain = is_certain(frames, others, _MOST_UNCERTAIN)
@@ -320,7 +344,7 @@ def _likelihood(
         return E, deviation
 
     known = np.where(certain, tables.deviation, np.nan)
-    return Estimator(estimate, tables.lights, known, tables.of_sum / tables.deviation)
+    return Estimator(estimate, tables.lights, known, tables.of_sum / tables.deviation, tables)
 
 
 def _sum(frames: FrameSet, prior: DesiredResponse | None, *, is_known: bool) -> Estimator:

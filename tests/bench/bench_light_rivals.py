@@ -132,9 +132,10 @@ def shot(case: Case, light: Floats, real: CameraResponse, seed: int) -> Frames:
             flat[start : start + _STRIP] = np.searchsorted(levels, x, "right")
         if case.quality is not None:
             options = [cv2.IMWRITE_JPEG_QUALITY, case.quality]
-            done, data = cv2.imencode(".jpg", pixels, options)
+            turn = slice(None, None, -1 if case.is_colour else 1)  # OpenCV has colours as BGR
+            done, data = cv2.imencode(".jpg", pixels[..., turn], options)
             assert done
-            pixels = np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED), np.uint8)
+            pixels = np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED), np.uint8)[..., turn]
         frames.append(pixels)
     return frames
 

@@ -101,9 +101,10 @@ def debevec(
     edges = np.concatenate([[0.0], real.levels, [1.0]])
     table = ((edges[:-1] + edges[1:]) / 2).astype(np.float32)
     table = np.ascontiguousarray(np.broadcast_to(table[:, None, None], (256, 1, 3)))
-    colours = [np.repeat(frame[..., None], 3, axis=2) for frame in frames]
+    is_mono = frames[0].ndim == 2
+    colours = [np.repeat(each[..., None], 3, axis=2) if is_mono else each for each in frames]
     merged = cv2.createMergeDebevec().process(colours, np.array(exposures, "f4"), table)
-    return merged[..., 0].astype(np.float64)
+    return np.asarray(merged[..., 0] if is_mono else merged, np.float64)
 
 
 SETS = [
@@ -244,6 +245,42 @@ def test_what_jpeg_adds_is_part_of_the_noise() -> None:
     assert mine < 0.6 * other
     z = ((found.irradiance - light) / found.sd)[found.mask & 3 == 0]
     assert 0.7 < np.std(z) < 1.5
+
+
+def windows(rows: int = 192, columns: int = 288) -> Floats:
+    """Return coloured walls, and windows of other colours that are 100 times as bright."""
+    rng = np.random.default_rng(1)
+    walls, panes = (
+        np.kron(rng.uniform(0.3, 1.0, (rows // k, columns // k, 3)), np.ones((k, k, 1)))
+        for k in (24, 12)
+    )
+    row, column = np.mgrid[:rows, :columns]
+    is_pane = ((row - 31) // 37 % 3 == 1) & ((column - 13) // 29 % 3 == 1)
+    light = np.where(is_pane[..., np.newaxis], 0.9 * panes, 0.004 * walls)
+    return np.asarray(cv2.GaussianBlur(light, (0, 0), 0.7))
+
+
+@pytest.mark.parametrize("quality", [90, 98])
+def test_colours_of_jpeg_files_are_as_unsure_as_their_chroma(quality: int) -> None:
+    """Standard deviations were up to 30,000 times too small beside windows that saturate."""
+    real, exposures, light = camera("srgb"), (1.0, 4.0, 16.0, 64.0), windows()
+    frames = shot(light, exposures, real, FrameNoise(30.0, 0.7))
+    files = [
+        cv2.imencode(".jpg", each[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        for each in frames
+    ]
+    lossy = [np.asarray(cv2.imdecode(each, 1), np.uint8)[..., ::-1] for each in files]
+    found = camctl.combine(lossy, exposures, response=real)
+    z = np.abs((found.irradiance - light) / found.sd)[found.mask & 3 == 0]
+    assert 0.6 < np.mean(z < 0.99446) < 0.85
+    assert np.mean(z < 1.95996) > 0.85
+    assert np.sqrt(np.mean(z**2)) < 2
+    assert np.isinf(found.sd).mean() < 0.05
+    mine, other = (
+        np.sqrt(np.mean(np.log(np.maximum(each, 1e-5) / light) ** 2))
+        for each in (found.irradiance, debevec(lossy, exposures, real))
+    )
+    assert mine < other
 
 
 def test_two_levels_are_few_and_enough() -> None:

@@ -1,0 +1,134 @@
+"""Errors of colours whose differences a file keeps with fewer samples, as JPEG does.
+
+Of a cell of 2 x 2 pixels JPEG (4:2:0, and 4:2:2 in one direction) keeps the brightness Y of each
+pixel, and one Cb and one Cr, the differences of blue and of red from it (ITU-T T.871).  What these
+differ by within a cell is lost, and all frames of a scene lose about the same of it: it neither
+shows in the differences of frames, nor does it average out.  How much that is, is seen in what is
+kept: a cell loses as much of Cb as it would have lost of Y, times the contrast of Cb over that of Y
+in the cells around it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.evidence.patches import Patches
+from camctl.system.picture_operations import box_means
+
+#: Weights of red, green and blue in Y, and the range of Cb and of Cr as shares of that of B - Y and
+#: of R - Y (ITU-T T.871).
+_OF_Y, _OF_BLUE, _OF_RED = np.array((0.299, 0.587, 0.114), np.float32), 1.772, 1.402
+#: What one level squared of Cb and of Cr is in red, green and blue, levels squared.
+_GREEN = (_OF_BLUE * 0.114 / 0.587) ** 2, (_OF_RED * 0.299 / 0.587) ** 2
+_VARIANCES = np.array(((0, _GREEN[0], _OF_BLUE**2), (_OF_RED**2, _GREEN[1], 0)), np.float32)
+
+ROUNDING = np.sqrt((1 + _VARIANCES.sum(axis=0)) / 12)
+"""Standard deviation of red, green and blue, levels, by whole numbers of Y, Cb and Cr: the least
+error of a JPEG file."""
+
+#: Real loss over the one that the cells show: so large that as many errors of four colour sets are
+#: within one and two `sd` as should be (`tests/bench/bench_light_rivals.py`).
+_LOSS = 4.0
+#: Share of the variance of cells around that an error has at most: 2 of an edge within a cell.
+_MOST_LOST = 2.0
+#: Variance of Y, levels squared, below which a cell shows no contrast: that of two roundings.
+_NO_CONTRAST = 1 / 6
+#: Share of the finest detail of green that R - G and B - G have at most where their samples are
+#: fewer: 0 to 0.2 in JPEG files of 4:2:0 and 4:2:2, 0.6 to 7 in other files of the same scenes.
+_MOST_DETAIL = 0.3
+#: Squares of 2 x 2 pixels that show it, and their least detail, levels squared: six roundings.
+_LEAST_SQUARES, _LEAST_DETAIL = 1000, 0.5
+
+
+def has_few_chroma_samples(samples: Sequence[Patches], highest: int) -> bool:
+    """Return whether frames have fewer samples of the differences of colours than of brightness.
+
+    Args:
+        samples: patches of red, green and blue of each frame, see `sample_patches`
+        highest: brightness up to which samples are not saturated
+    """
+    detail, others, count = 0.0, np.zeros(2), 0
+    for patches in samples:
+        squares = _patch_squares(patches).astype(np.int16)
+        used = np.asarray(((squares > 0) & (squares <= highest)).all(axis=0))
+        used = used[:, 1:, 1:] & used[:, 1:, :-1] & used[:, :-1, 1:] & used[:, :-1, :-1]
+        red, green, blue = squares
+        detail += float(np.square(_finest(green)[used]).sum())
+        others += [np.square(_finest(each - green)[used]).sum() for each in (red, blue)]
+        count += int(np.count_nonzero(used))
+    # Two roundings make a sixth of a level squared of R - G.
+    return (
+        count >= _LEAST_SQUARES
+        and detail >= _LEAST_DETAIL * count
+        and bool((others - count / 6 <= _MOST_DETAIL * detail).all())
+    )
+
+
+def chroma_variance(frame: NDArray[Any]) -> NDArray[np.float32]:
+    """Return the variance of the errors of colours, levels squared, of each cell of 2 x 2 pixels.
+
+    Args:
+        frame: (rows, columns, 3) of R, G and B, of both an even number
+
+    Returns:
+        (rows / 2, columns / 2, 3)
+    """
+    cells = frame.reshape(frame.shape[0] // 2, 2, frame.shape[1] // 2, 2, 3)
+    lost = box_means(_lost(cells[..., 1]), 1)
+    mean = cells.mean(axis=(1, 3), dtype=np.float32)
+    Y = mean @ _OF_Y
+    planes = np.stack([Y, (mean[..., 2] - Y) / _OF_BLUE, (mean[..., 0] - Y) / _OF_RED], axis=-1)
+    around = np.maximum(box_means(planes * planes, 1) - np.square(box_means(planes, 1)), 0.0)
+    share = np.minimum(_LOSS * lost / (around[..., 0] + _NO_CONTRAST), _MOST_LOST)
+    return np.asarray((around[..., 1:] * share[..., np.newaxis]) @ _VARIANCES, np.float32)
+
+
+def patch_chroma_variance(patches: Patches) -> NDArray[np.float32]:
+    """Return that of patches of red, green and blue, one number each, (3 * patches,)."""
+    squares = _patch_squares(patches)
+    squares = squares[..., : squares.shape[2] & ~1, : squares.shape[3] & ~1]
+    cells = squares.reshape(*squares.shape[:2], squares.shape[2] // 2, 2, -1, 2)
+    lost = np.moveaxis(_lost(np.moveaxis(cells[1], 0, -1)), -1, 0).mean(axis=(1, 2))
+    mean = cells.mean(axis=(3, 5), dtype=np.float32)
+    Y = np.tensordot(_OF_Y, mean, 1)
+    of_y, blue, red = (
+        each.var(axis=(1, 2)) for each in (Y, (mean[2] - Y) / _OF_BLUE, (mean[0] - Y) / _OF_RED)
+    )
+    share = np.minimum(_LOSS * lost / (of_y + _NO_CONTRAST), _MOST_LOST)
+    found = (np.stack([blue, red], axis=-1) * share[:, np.newaxis]) @ _VARIANCES
+    return np.asarray(found.T.ravel(), np.float32)
+
+
+def _patch_squares(patches: Patches) -> Patches:
+    """Return patches of red, green and blue as (3, patches, side, side)."""
+    side = round(patches.shape[1] ** 0.5)
+    return patches.reshape(3, -1, side, side)
+
+
+def _lost(cells: NDArray[Any]) -> NDArray[np.float32]:
+    """Return the variance that interpolation between the means of cells does not show.
+
+    It shows a quarter of the difference of the means on both sides.
+
+    Args:
+        cells: (rows, 2, columns, 2, ...) of green, whose detail within a cell is that of Y
+    """
+    upper, lower = cells[:, 0].astype(np.float32), cells[:, 1].astype(np.float32)
+    sums, differences = upper + lower, lower - upper
+    across, down = sums[:, :, 1] - sums[:, :, 0], differences[:, :, 0] + differences[:, :, 1]
+    diagonal = differences[:, :, 1] - differences[:, :, 0]
+    mean = (sums[:, :, 0] + sums[:, :, 1]) / 4
+    down[1:-1] -= (mean[2:] - mean[:-2]) / 2
+    across[:, 1:-1] -= (mean[:, 2:] - mean[:, :-2]) / 2
+    return np.asarray((np.square(across) + np.square(down) + np.square(diagonal)) / 16)
+
+
+def _finest(squares: NDArray[np.int16]) -> NDArray[np.float64]:
+    """Return how far neighbours are from a plane, of each 2 x 2 of (squares, side, side)."""
+    return (
+        squares[:, 1:, 1:] - squares[:, 1:, :-1] - squares[:, :-1, 1:] + squares[:, :-1, :-1]
+    ) / 2

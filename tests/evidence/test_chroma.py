@@ -1,0 +1,63 @@
+"""Which frames keep few samples of the differences of colours, and what that loses."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from camctl.evidence.chroma import chroma_variance, has_few_chroma_samples, patch_chroma_variance
+from camctl.evidence.patches import sample_patches
+from camctl.interface.controls import Layout
+
+Picture = NDArray[np.uint8]
+
+
+def picture(noise: float) -> Picture:
+    """Return squares of many colours, as sharp as a lens shows them."""
+    rng = np.random.default_rng(0)
+    colours = rng.uniform(40, 190, (16, 24, 1)) * rng.uniform(0.8, 1.2, (16, 24, 3))
+    squares = np.kron(colours, np.ones((11, 11, 1)))
+    squares = np.asarray(cv2.GaussianBlur(squares, (0, 0), 1.0), np.float64)
+    return np.clip(squares + rng.normal(0, noise, squares.shape), 0, 255).astype(np.uint8)
+
+
+def kept(pixels: Picture, factor: int, quality: int = 95) -> Picture:
+    """Return a picture as a JPEG file keeps it, with a factor of OpenCV."""
+    options = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, factor]
+    data = cv2.imencode(".jpg", pixels[..., ::-1], options)[1]
+    return np.asarray(cv2.imdecode(data, 1), np.uint8)[..., ::-1]
+
+
+@pytest.mark.parametrize(
+    ("factor", "is_few"),
+    [
+        (None, False),
+        (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444, False),
+        (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422, True),
+        (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420, True),
+    ],
+)
+def test_few_samples_are_seen(factor: int | None, is_few: bool) -> None:
+    found = picture(3.0) if factor is None else kept(picture(3.0), factor)
+    for each in (found, found[1:, 1:]):  # wherever a border was cut off
+        patches = sample_patches(Layout.RGB.planes(each), 255)
+        assert has_few_chroma_samples([patches], 242) is is_few
+
+
+def test_what_is_lost_is_estimated() -> None:
+    before = picture(0.0)
+    after = kept(before, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420, 98)
+    real = np.square(after.astype(float) - before)
+    found = chroma_variance(after).repeat(2, axis=0).repeat(2, axis=1)
+    for channel in range(3):
+        assert 0.4 < found[..., channel].mean() / real[..., channel].mean() < 2.5
+
+
+def test_patches_tell_what_their_cells_do() -> None:
+    after = kept(picture(0.0), cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420)
+    patches = sample_patches(Layout.RGB.planes(after), 255)
+    ratio = patch_chroma_variance(patches).reshape(3, -1).mean(axis=1)
+    ratio /= chroma_variance(after).mean(axis=(0, 1))
+    assert np.all((ratio > 0.5) & (ratio < 3))
