@@ -182,8 +182,14 @@ def _label_unchecked(finding: Finding) -> str:
             "three photographs or fewer do not always show that an exposure is wrong while the "
             "response is not known"
         )
+    details: dict[str, Any] = finding.details
+    if details.get("count", 1) > 1:
+        return (
+            f"the exposures of {details['files']} are not checked: no part of them is well exposed "
+            "in the photograph of the next brightness, too"
+        )
     return (
-        f"the exposure of {finding.details['file']} is not checked: no part of it is well exposed "
+        f"the exposure of {details['file']} is not checked: no part of it is well exposed "
         "in the photograph of the next brightness, too"
     )
 

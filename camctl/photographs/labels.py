@@ -121,9 +121,10 @@ def wrong_labels(
     limit = math.log(_WRONG_EXACT if is_exact and is_known else MOST_CORRECTED)
     least_agree = _AGREE_WITH if is_known else _AGREE_WITHOUT
     found = LabelErrors()
-    for run in exposure_runs(photographs, patches, scale):
-        if len(run.members) == 1:
-            found.facts.append(Finding(code="label_unchecked", frames=tuple(run.members)))
+    runs = exposure_runs(photographs, patches, scale)
+    if alone := tuple(sorted(run.members[0] for run in runs if len(run.members) == 1)):
+        found.facts.append(Finding(code="label_unchecked", frames=alone))
+    for run in runs:
         errors = steady_errors(run.jumps, [max(STEADY * limit, each) for each in run.tolerances])
         wrong = np.flatnonzero(np.abs(errors) > limit).tolist()
         agree = len(run.members) - len(wrong)

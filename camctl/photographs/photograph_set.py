@@ -383,6 +383,7 @@ def _with_labels(
             f"{time_text(before.time_s)} is {time_text(after.time_s)}"
             for before, after in zip(photographs, changed, strict=True)
             if abs(after.time_s / before.time_s - 1) > 1e-3
+            and time_text(after.time_s) != time_text(before.time_s)
         )
     )
     if not pairs:

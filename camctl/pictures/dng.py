@@ -46,8 +46,6 @@ def dng_tags(
     tags = tiff_tags(details)
     neutral = [1 / factor for factor in colour.white_balance]
     matrix = [value for row in colour.xyz_to_camera for value in row]
-    camera = details.camera
-    name = " ".join(filter(None, (camera.make, camera.model))) or "unknown"
     pattern = tuple(colour_of(layout, row, column) for row in (0, 1) for column in (0, 1))
     # As bright as the photograph in the middle.
     middle = details.frames[len(details.frames) // 2].highest
@@ -57,7 +55,13 @@ def dng_tags(
         (33422, "B", 4, pattern, True),  # CFAPattern
         (50706, "B", 4, _VERSION, True),  # DNGVersion
         (50707, "B", 4, _VERSION, True),  # DNGBackwardVersion
-        (50708, "s", 0, name.encode("ascii", "replace").decode(), True),  # UniqueCameraModel
+        (
+            50708,
+            "s",
+            0,
+            details.camera.name.encode("ascii", "replace").decode(),
+            True,
+        ),  # UniqueCameraModel
         (50710, "B", 3, (0, 1, 2), True),  # CFAPlaneColor
         (50711, "H", 1, 1, True),  # CFALayout: rectangular
         (50714, "H", 1, 0, True),  # BlackLevel

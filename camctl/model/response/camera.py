@@ -233,14 +233,14 @@ def named_response(text: str, bits: int, levels: int) -> CameraResponse | None:
     """Return the response that the value of a driver option names, None for linear.
 
     Args:
-        text: a name in `STANDARDS`, or power:GAMMA; power alone is power:2.2
+        text: a name in `STANDARDS`, in capitals or not, or power:GAMMA; power alone is power:2.2
         bits: bit depth
         levels: white level minus black level
 
     Raises:
         UsageError: an unknown name, or a gamma that is not a number or is out of range
     """
-    name, _, gamma = text.partition(":")
+    name, _, gamma = text.casefold().partition(":")
     if name not in STANDARDS or (gamma and name != "power"):
         raise unknown_name("camera response", text, RESPONSES)
     if name == "linear":
