@@ -160,3 +160,22 @@ def _label(time_s: float) -> str:
 def _shown(message: str) -> str:
     """Return an error without the name of the camera."""
     return re.sub(r"(^|of |)[^;:]{1,60}? at USB \d+:\d+", r"\1it", message)
+
+
+#: Operations that take a picture, of the standard and of makers.
+_TAKING = frozenset({0x100E, 0x101C, 0x90C0, 0x90CB, 0x9207, 0x920B, 0x910F, 0x9128, 0x901A})
+#: With it Canon's compacts enter a mode in which alone they have settings and take pictures.
+_POWERSHOT_MODE = 0x9008
+
+
+def why_refused(name: str) -> str:
+    """Return what the record of a body states that takes no pictures, and what it lacks."""
+    facts = load_body(name)
+    states_time = any(code in facts.properties for code in _TIME_CODES)
+    if states_time:
+        return "a shutter time that a computer cannot set"
+    if not facts.all_operations & _TAKING:
+        return "no operation that takes a picture"
+    if facts.make.startswith("Canon") and _POWERSHOT_MODE in facts.operations:
+        return "no shutter time: a compact of Canon outside its remote mode"
+    return "an operation that takes a picture, and no shutter time"

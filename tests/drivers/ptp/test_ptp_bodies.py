@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from ptp_bodies import row, turned_to_manual
+from ptp_bodies import row, turned_to_manual, why_refused
 
 from camctl.sim.devices.ptp.body_facts import MAKERS, bodies, load_body
 from camctl.sim.devices.ptp.nikon import NikonResponder
@@ -41,6 +41,15 @@ def test_30_recorded_bodies_of_all_makers_shoot_or_are_refused_with_the_reason()
 @pytest.mark.slow
 def test_every_recorded_body_shoots_or_is_refused_with_the_reason() -> None:
     assert {name: row(name) for name in bodies()} == expected()
+
+
+def test_why_bodies_are_refused_is_counted_on_the_page() -> None:
+    refused = [name for name, line in expected().items() if "| shoots: " not in line]
+    counted = Counter(map(why_refused, refused))
+    lines = PAGE.read_text("utf-8").splitlines()
+    assert sum(counted.values()) == len(refused)
+    for why, count in counted.items():
+        assert [line for line in lines if line.startswith(f"| {why} | {count} |")]
 
 
 def test_at_least_60_bodies_and_two_of_each_maker_with_remote_control_shoot() -> None:
