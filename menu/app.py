@@ -15,7 +15,7 @@ from camctl.menu.model import Model, State
 from camctl.menu.ports import Job, Key, Panel, PanelDisconnectedError
 from camctl.menu.screens import screen
 from camctl.menu.service import ServiceNotifier
-from camctl.menu.tables import STATES, Event, Outcome, Start
+from camctl.menu.tables import LIVE_S, STATES, Event, Outcome, Start
 from camctl.menu.worker import Worker
 from camctl.messages.command_line import error_hint
 from camctl.system.interrupts import uninterrupted
@@ -35,6 +35,9 @@ _MOST_DISCARDED_KEYS = 100
 _REST, _LONGEST_REST_S = 80.0, 15.0
 """The exposure meter rests for so many times the processor time that a reading takes with all that
 shows it, and so many seconds at most."""
+
+_LIVE_REST = 2.0
+"""A live camera rests for so many times the processor time of a look: a third of one processor."""
 
 _LONGEST_WAIT_S = 0.5
 """Time to wait for a key while no work runs, s."""
@@ -190,10 +193,15 @@ class Session:
 
     def _set_tick(self) -> None:
         """Set the next tick; metering rests so that it takes little of the processor."""
-        rest_s = _REST * (time.process_time() - self._cpu_s)
+        reading = self.model.reading
+        is_live = (
+            self.model.state is State.IDLE and reading is not None and reading.rate is not None
+        )
+        rest_s = (_LIVE_REST if is_live else _REST) * (time.process_time() - self._cpu_s)
         if self.model.state is not State.IDLE:
             rest_s = 0.0
-        interval_s = max(STATES[self.model.state].tick_s, min(rest_s, _LONGEST_REST_S))
+        tick_s = LIVE_S if is_live else STATES[self.model.state].tick_s
+        interval_s = max(tick_s, min(rest_s, _LONGEST_REST_S))
         self._next_tick_s = self._now() + interval_s
 
     def _advance(self, given: Key | Event) -> None:

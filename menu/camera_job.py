@@ -36,6 +36,7 @@ from camctl.menu.data import (
     Settings,
     Summary,
 )
+from camctl.menu.live_view import LiveView
 from camctl.menu.settings_file import load_settings, save_settings
 from camctl.menu.thumbnails import frame_histogram, frame_picture
 from camctl.menu.views import entry_of, needed_bytes, plan_view, progress_view, summary_view
@@ -78,6 +79,7 @@ class CameraJob:
         self._source: Mapping[str, Any] = {}
         self._camera_id = ""
         self._entry = CameraEntry("", "")
+        self._view = LiveView()
 
     def load(self) -> Loaded:
         """Return the settings of the file, and how many captures are unfinished."""
@@ -103,13 +105,21 @@ class CameraJob:
 
     def close(self) -> None:
         """Close the camera; errors of one that was unplugged are left out."""
+        self._view.end()
         camera, self._camera = self._camera, None
         if camera is not None:
             with suppress(CameraError):
                 camera.close()
 
-    def _with_camera(self, act: Callable[[Camera], _Result]) -> _Result:
-        """Call `act` with the camera; it is opened again after it failed."""
+    def _with_camera(
+        self, act: Callable[[Camera], _Result], *, keeps_view: bool = False
+    ) -> _Result:
+        """Call `act` with the camera; it is opened again after it failed.
+
+        The live view ends first, unless `keeps_view`.
+        """
+        if not keeps_view:
+            self._view.end()
         if self._camera is None:
             self.open(self._camera_id)
         assert self._camera is not None  # it was opened
@@ -121,13 +131,21 @@ class CameraJob:
             raise
 
     def meter(self) -> Reading:
-        """Take metering frames; a camera without preview is asked for nothing."""
-        return self._with_camera(self._reading)
+        """Look at the effective camera, or take metering frames where the camera does not stream.
+
+        A camera without preview is asked for nothing.
+        """
+        return self._with_camera(self._reading, keeps_view=True)
 
     def _reading(self, camera: Camera) -> Reading:
         reading = Reading(free_bytes=self._free_bytes(), camera=self._entry)
         if not isinstance(camera, PreviewingCamera):
             return replace(reading, is_late=True)
+        if self._view.suits(camera, self._request):
+            try:
+                return self._view.reading(camera, self._request, reading)
+            except (CaptureError, UsageError) as error:
+                return replace(reading, remark=error_text(error))
         source = MeteringFrames(camera)
         try:
             metered = meter(source)
@@ -144,6 +162,7 @@ class CameraJob:
 
     def predict(self, choices: Sequence[Choice], cancelled: Callable[[], bool]) -> Iterator[Cost]:
         """Yield the cost of the plan of each choice, all from the same metering frames."""
+        self._view.end()
         if self._camera is None:
             self.open(self._camera_id)
         assert self._camera is not None  # it was opened

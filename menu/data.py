@@ -121,6 +121,7 @@ class Reading:
         camera: the camera that was metered
         is_late: it has no preview, and the light is metered when the capture is planned
         remark: why the light cannot be measured; "" where it can
+        rate: pictures a second of the effective camera, live; None: it is a metering frame
     """
 
     time_s: float = 0.0
@@ -131,6 +132,7 @@ class Reading:
     camera: CameraEntry | None = None
     is_late: bool = False
     remark: str = ""
+    rate: float | None = None
 
 
 @dataclass(frozen=True)

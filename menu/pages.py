@@ -33,15 +33,20 @@ def idle(model: Model) -> Screen:
         lines.append(Line(("The camera meters when it shoots", "No live meter")))
     else:
         time, clipped = format_short_time(reading.time_s), format_percent(reading.clipped)
-        lines.append(
-            Line(
-                (
-                    f"Shortest exposure {time}, {clipped} clipped",
-                    f"{time}  {clipped} clip",
-                    f"{time} {clipped}",
-                )
+        if reading.rate is None:
+            words = (
+                f"Shortest exposure {time}, {clipped} clipped",
+                f"{time}  {clipped} clip",
+                f"{time} {clipped}",
             )
-        )
+        else:
+            rate = f"{reading.rate:.1f}" if reading.rate else "..."
+            words = (
+                f"Live {rate}/s, shortest {time}, {clipped} clipped",
+                f"{time}  live {rate}/s",
+                f"live {rate}/s",
+            )
+        lines.append(Line(words))
     asked = requested(model)
     name = RESPONSES[model.settings.response].labels[-1]
     wide = "auto" if asked.dynamic_range is None else range_text(asked.dynamic_range)

@@ -110,8 +110,9 @@ class StateSpec:
 _FAILURE = (Action.RETRY, Action.BACK, Action.OTHER)
 _P, _L, _W = Kind.PAGE, Kind.LIST, Kind.WAIT
 _BUSY, _ERROR = Mood.BUSY, Mood.ERROR
-METER_S = 1.0
-"""Interval of the readings of the exposure meter, s."""
+METER_S, LIVE_S = 1.0, 0.1
+"""Interval of the readings of the exposure meter, s, and of looks at a live camera: more are no
+longer seen one by one (Card, Moran and Newell, 1983)."""
 REOPEN_S = 3.0
 """Interval of the attempts to open a camera that is not there, s."""
 

@@ -1,0 +1,121 @@
+"""The effective camera live, as the menu shows it while it waits: picture, histogram and rate.
+
+The stream goes on between two looks, so that the next one is there at once.  It ends by itself
+where nobody looks any more, and before anything else is done with the camera.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from camctl.exposure.goal import AUTO, CaptureRequest
+from camctl.interface.camera import Camera
+from camctl.interface.clock import VirtualClock
+from camctl.interface.cycle import CyclingCamera
+from camctl.menu.data import Picture, Reading
+from camctl.menu.thumbnails import BINS, COLUMNS, ROWS
+
+if TYPE_CHECKING:  # a camera that does not stream does not load it
+    from camctl.livestream.result import LiveResult
+    from camctl.livestream.stream import Live
+
+#: Time without a look after which the stream ends, s: some rests of the menu between two of them.
+_UNSEEN_S = 10.0
+#: Pictures whose rate is stated.
+_RATED = 8
+#: Range of the histogram, stops below the saturation of the shortest exposure.
+_STOPS = 16
+
+
+class LiveView:
+    """Shows one camera after the other; any thread may end it."""
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._live: Live | None = None
+        self._timer: threading.Timer | None = None
+        self._times: deque[float] = deque(maxlen=_RATED)
+
+    @staticmethod
+    def suits(camera: Camera, request: CaptureRequest) -> bool:
+        """Return whether each frame of a camera completes a picture, in real time."""
+        return (
+            isinstance(camera, CyclingCamera)
+            and camera.controls.delay_frames is not None
+            and not isinstance(camera.clock, VirtualClock)
+            and request.response != AUTO
+        )
+
+    def reading(self, camera: Camera, request: CaptureRequest, reading: Reading) -> Reading:
+        """Return `reading` with what the camera shows now.
+
+        Raises:
+            CaptureError: the light cannot be measured
+            UsageError: the camera has no exposures for the request
+            CameraError: as the camera raises
+        """
+        from camctl.livestream.following import Look
+        from camctl.livestream.stream import live
+
+        with self._lock:
+            self._cancel_timer()
+            if self._live is None:
+                self._times.clear()
+                # A camera that is gone is opened again by the menu.
+                self._live = live(camera, request, reuse=True, patience_s=0.0)
+            try:
+                result = next(self._live)
+            except BaseException:
+                self.end()
+                raise
+            self._times.append(time.monotonic())
+            self._timer = threading.Timer(_UNSEEN_S, self.end)
+            self._timer.daemon = True
+            self._timer.start()
+            seen = Look.at(result.sum, result.layout, result.tables)
+            edges = np.linspace(-_STOPS, 0, BINS + 1)
+            stops = np.clip(np.log2(np.maximum(seen.irradiance, 1e-12)), edges[0], edges[-1])
+            counts, _ = np.histogram(stops, edges, weights=seen.shares)
+            return Reading(
+                time_s=min(each.time_s for each in result.plan.settings),
+                clipped=seen.clipped,
+                histogram=tuple(counts.tolist()),
+                picture=_picture(result),
+                free_bytes=reading.free_bytes,
+                camera=reading.camera,
+                rate=self._rate(),
+            )
+
+    def end(self) -> None:
+        """End the stream; the camera can shoot."""
+        with self._lock:
+            self._cancel_timer()
+            live, self._live = self._live, None
+            if live is not None:
+                live.close()
+
+    def _cancel_timer(self) -> None:
+        timer, self._timer = self._timer, None
+        if timer is not None:
+            timer.cancel()
+
+    def _rate(self) -> float:
+        """Return pictures a second; 0 for the first."""
+        span_s = self._times[-1] - self._times[0]
+        return (len(self._times) - 1) / span_s if span_s > 0 else 0.0
+
+
+def _picture(result: LiveResult) -> Picture:
+    """Return the picture of a result in the desired response, small."""
+    from camctl.livestream.display import Display
+
+    rows, columns = result.sum.shape[:2]
+    most = max(1, min(COLUMNS, ROWS * columns // rows))
+    shown = Display(most=most).picture(result)
+    rgb = shown if shown.ndim == 3 else np.repeat(shown[..., np.newaxis], 3, axis=2)
+    return Picture(rgb.shape[1], rgb.shape[0], np.ascontiguousarray(rgb).tobytes())
