@@ -17,7 +17,8 @@ from camctl.findings import note
 from camctl.interface.backends import LowerCase
 from camctl.interface.camera import CameraBase, CameraInfo
 from camctl.interface.clock import CaptureTiming, Clock
-from camctl.interface.controls import Choices, Control, ExposureControls, ResponseOrigin
+from camctl.interface.colour import BT709
+from camctl.interface.controls import Choices, Control, ExposureControls, Layout, ResponseOrigin
 from camctl.model.response.camera import named_response
 from camctl.profiles.profile import Profile, StillRecord, TimingRecord, change_profile, load_profile
 from camctl.stills.decoding import Still
@@ -189,6 +190,8 @@ class StillCamera(CameraBase):
             response=response,
             response_origin=origin,
             timing=self._times_taken.timing,
+            # DCF: what a camera develops is sRGB. Raw files state their colours one by one.
+            colour=BT709 if known.format == "jpeg" and record.layout is Layout.RGB else None,
             findings=tuple(map(note, self._notes)),
         )
 

@@ -17,7 +17,8 @@ from camctl.findings import note
 from camctl.interface.backends import LowerCase
 from camctl.interface.camera import CameraBase, CameraInfo, Frame, OriginalFile
 from camctl.interface.clock import CaptureTiming, Clock, RealClock
-from camctl.interface.controls import Choices, ExposureControls, ExposureSetting
+from camctl.interface.colour import BT709
+from camctl.interface.controls import Choices, ExposureControls, ExposureSetting, Layout
 from camctl.model.response.camera import named_response
 from camctl.profiles.profile import StillRecord
 
@@ -124,6 +125,7 @@ class CoolpixCamera(CameraBase):
             response_origin=self._options.response_origin,
             timing=self._times_taken.timing or self._line_timing(),
             tolerance=_TOLERANCE,
+            colour=BT709 if record.layout is Layout.RGB else None,
             findings=tuple(map(note, self._notes())),
         )
 

@@ -19,6 +19,7 @@ from coolpix_bench import (
 from camctl.drivers.coolpix.camera import CoolpixCamera
 from camctl.drivers.coolpix.settings import CANDIDATES_US
 from camctl.interface.camera import Camera
+from camctl.interface.colour import BT709
 from camctl.interface.controls import ExposureSetting, Layout
 from camctl.profiles.profile import StillRecord, change_profile, load_profile
 from camctl.sim.devices.sierra.config import SHUTTER_US
@@ -84,6 +85,7 @@ class TestPictures:
             (frame,) = shoot(camera, SETTINGS[1:])
             notes = "\n".join(camera.controls.notes)
             assert camera.controls.has_assumed_response
+            assert camera.controls.colour is BT709
         assert frame.original is not None
         assert frame.original.suffix == ".jpg"
         assert frame.details == {"name_on_card": device.camera.pictures[-1].name}

@@ -37,7 +37,8 @@ from camctl.exposure.goal import CaptureRequest
 from camctl.interface.backends import is_local, list_cameras
 from camctl.interface.camera import CameraInfo
 from camctl.interface.clock import VirtualClock
-from camctl.interface.controls import Choices, ExposureSetting, ResponseOrigin
+from camctl.interface.colour import BT709
+from camctl.interface.controls import Choices, ExposureSetting, Layout, ResponseOrigin
 
 PORT = "usb:001,001"
 TIMES_S = (0.0012, 0.0025, 0.005, 0.01, 0.02, 0.05, 0.1, 1.0)
@@ -84,6 +85,7 @@ class TestVirtualCamera:
         camera.close()
         with Gphoto2Backend().open("", {}) as other:
             assert other.controls.response_origin is ResponseOrigin.ASSUMED
+            assert (other.controls.colour is BT709) == (other.controls.layout is Layout.RGB)
 
     def test_it_is_listed_with_the_backend_to_use(self) -> None:
         (found,) = (each for each in list_cameras() if each.driver == "gphoto2")
