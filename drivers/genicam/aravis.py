@@ -170,6 +170,11 @@ class AravisDevice:
             return ""
         return (self._call("arv_gc_float_get_unit", node) or b"").decode("utf-8", "replace")
 
+    def description(self) -> str:
+        size = c_size_t()
+        found = self._call("arv_device_get_genicam_xml", self._handle, byref(size))
+        return ctypes.string_at(found, size.value).decode("utf-8", "replace") if found else ""
+
     def _increment(self, name: str) -> float:
         """Return the step of a float; 0 where the camera states none."""
         try:

@@ -73,6 +73,7 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
         POINTER(c_char_p),
         (pointer, c_char_p, POINTER(c_uint)),
     ),
+    "arv_device_get_genicam_xml": (pointer, (pointer, POINTER(c_size_t))),
     "arv_device_create_chunk_parser": (pointer, (pointer,)),
     "arv_chunk_parser_get_float_value": (c_double, (pointer, pointer, c_char_p)),
     "arv_chunk_parser_get_integer_value": (c_int64, (pointer, pointer, c_char_p)),
@@ -91,11 +92,15 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_buffer_get_image_padding": (None, (pointer, POINTER(c_int), POINTER(c_int))),
     "arv_buffer_has_chunks": (c_int, (pointer,)),
 }
+_WITHOUT_ERROR = (
+    "arv_device_get_feature",
+    "arv_device_create_chunk_parser",
+    "arv_device_get_genicam_xml",
+)
 _WITH_ERROR = frozenset(
     name
     for name in _FUNCTIONS
-    if name.startswith(("arv_device_", "arv_chunk_parser_"))
-    and name not in ("arv_device_get_feature", "arv_device_create_chunk_parser")
+    if name.startswith(("arv_device_", "arv_chunk_parser_")) and name not in _WITHOUT_ERROR
 ) | {"arv_open_device"}
 
 

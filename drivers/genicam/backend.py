@@ -7,6 +7,7 @@ from typing import Any
 
 from camctl.drivers.genicam.camera import GenicamCamera, GenicamOptions
 from camctl.drivers.genicam.libraries import camera_info, find_device, is_installed, library
+from camctl.drivers.genicam.recording import record
 from camctl.interface.camera import CameraInfo
 
 
@@ -21,6 +22,10 @@ class GenicamBackend:
     def discover(self, *, probe: bool = False) -> Sequence[CameraInfo]:
         """Return the cameras that answer in the networks of this computer and on USB."""
         return [camera_info(each) for each in library().search()] if is_installed() else ()
+
+    def record(self, address: str) -> dict[str, Any]:
+        """Return what the camera says of itself; see `CameraBackend`."""
+        return record(library(), address)
 
     def open(self, address: str, options: Mapping[str, Any]) -> GenicamCamera:
         chosen = GenicamOptions.parse(options)

@@ -141,6 +141,9 @@ class OpenDevice(Protocol):
     def unit(self, name: str) -> str:
         """Return the unit of a number, "" where none is stated."""
 
+    def description(self) -> str:
+        """Return the XML file in which the camera describes itself."""
+
     def start(self, buffers: int) -> None:
         """Start to receive frames; the acquisition runs when this returns."""
 

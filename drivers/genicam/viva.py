@@ -163,6 +163,9 @@ class VivaDevice:
     def unit(self, name: str) -> str:
         return self._state(name).unit or ""
 
+    def description(self) -> str:
+        return str(self._camera.xml)
+
     def _state(self, name: str) -> Any:
         with self._errors(name):
             return self._camera.feature_state(name)

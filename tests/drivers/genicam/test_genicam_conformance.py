@@ -80,6 +80,7 @@ class TestTriggeredInALossyNetwork(TriggeredConformance):
     config = {"loss": 0.01, "chunk_delay": 1}  # noqa: RUF012
 
 
+@pytest.mark.serial
 class TestFreeRunWithTheRunningFrame(GenicamConformance):
     delay = -1
-    options = {"trigger": "off", "fps": "25"}  # noqa: RUF012
+    options = {"trigger": "off", "fps": "15"}  # noqa: RUF012
