@@ -30,7 +30,10 @@ from camctl.errors import CameraError, CameraNotFoundError, CameraProtocolError
 #: Codes of ArvDeviceError (arvdevice.h) after which the device is gone: not connected, time-out,
 #: another program controls it.
 _NOT_CONTROLLER, _GONE = 10, (2, 5, 10)
+_DENIED = 17  # the camera denies access: its state does not allow it, or control was lost
 _SUCCESS = 0  # of ArvBufferStatus
+#: A frame that seems to have waited longer, s, has no valid stamp: there are few buffers.
+_OLDEST_S = 60.0
 _NAMES = {b"GigEVision": "GigE Vision", b"USB3Vision": "USB3 Vision"}
 
 
@@ -81,14 +84,15 @@ class AravisLibrary:
         if is_network and not call("arv_gv_device_is_controller", handle):
             call.unref(handle)
             raise in_use(device.name)
-        return AravisDevice(call, handle, device.name)
+        return AravisDevice(call, handle, device.name, is_network=is_network)
 
 
 class AravisDevice:
     """An open device; a `camctl.drivers.genicam.port.OpenDevice`."""
 
-    def __init__(self, functions: Functions, handle: int, name: str) -> None:
+    def __init__(self, functions: Functions, handle: int, name: str, *, is_network: bool) -> None:
         self._call = functions
+        self._is_network = is_network
         self._handle: int | None = handle
         self._name = name
         self._stream: int | None = None
@@ -204,11 +208,15 @@ class AravisDevice:
             self._refused(name, error)
 
     def _refused(self, name: str, error: AravisError) -> NoReturn:
-        if error.code in _GONE:
+        is_denied = error.code == _DENIED and self._is_network
+        if error.code in _GONE or (is_denied and not self._is_controller()):
             raise lost_control(self._name, str(error)) from error
         raise FeatureError(
             f"{self._name} refuses {name}: {error}", hint="its present state does not allow it"
         ) from error
+
+    def _is_controller(self) -> bool:
+        return bool(self._call("arv_gv_device_is_controller", self._handle))
 
     # ---- frames
 
@@ -271,10 +279,11 @@ class AravisDevice:
 
     def _received(self, buffer: int) -> Received:
         call = self._call
-        # The library stamps by the system's clock for civil time.
+        # The library stamps by the system's clock for civil time; a frame without its first packet
+        # may have no stamp.
         age_s = time.time() - call("arv_buffer_get_system_timestamp", buffer) / 1e9
         number = call("arv_buffer_get_frame_id", buffer)
-        arrived_s = time.monotonic() - max(0.0, age_s)
+        arrived_s = time.monotonic() - (age_s if 0 <= age_s < _OLDEST_S else 0.0)
         if call("arv_buffer_get_status", buffer) != _SUCCESS:
             return Received(np.empty(0, np.uint8), (0, 0), 0, 0, number, arrived_s, False)
         size, across, below = c_size_t(), c_int(), c_int()

@@ -69,7 +69,7 @@ class ControlChannel:
         self._clock = clock
         self._controller: Address | None = None
         self._privilege = 0
-        self._heard_s = 0.0
+        self._silent_s = 0.0
         self.heartbeat_s = 3.0
         self.is_silent = False
         self.counts: dict[int, int] = {}
@@ -115,14 +115,18 @@ class ControlChannel:
         return self._controller
 
     def _run(self) -> None:
+        before_s = self._clock.now()
         while not self._is_over.is_set():
             ready, _, _ = select.select(self._sockets, [], [], _POLL_S)
+            now_s = self._clock.now()
+            # A computer that stops everything for a while stops the controller, too.
+            self._silent_s += min(now_s - before_s, 5 * _POLL_S)
+            before_s = now_s
             for each in ready:
                 packet, sender = each.recvfrom(_LARGEST_DATA + 8)
                 if not self.is_silent:
                     self._handle(packet, sender)
-            silent_s = self._clock.now() - self._heard_s
-            if self._controller is not None and silent_s > self.heartbeat_s:
+            if self._controller is not None and self._silent_s > self.heartbeat_s:
                 self.release()
 
     def _handle(self, packet: bytes, sender: Address) -> None:
@@ -131,7 +135,7 @@ class ControlChannel:
         flags, command, size, number = struct.unpack_from(">BHHH", packet, 1)
         data = packet[8 : 8 + size]
         if sender == self._controller:
-            self._heard_s = self._clock.now()
+            self._silent_s = 0.0
         self.counts[command] = self.counts.get(command, 0) + 1
         if command == RESEND:
             _, block, first, last = struct.unpack_from(">HHII", data)
@@ -185,7 +189,7 @@ class ControlChannel:
         if address == PRIVILEGE:
             (self._privilege,) = struct.unpack(">I", data)
             if self._privilege & (_EXCLUSIVE | _CONTROL):
-                self._controller, self._heard_s = sender, self._clock.now()
+                self._controller, self._silent_s = sender, 0.0
             else:
                 self.release()
             return OK

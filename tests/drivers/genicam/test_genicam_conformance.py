@@ -44,7 +44,7 @@ class GenicamConformance(CameraConformance):
 
     def _camera(self) -> GenicamCamera:
         options = GenicamOptions.parse({**LEVELS, **self.options})
-        return GenicamCamera(installed(self.library), found(self.device), options, silence_s=2.0)
+        return GenicamCamera(installed(self.library), found(self.device), options, silence_s=4.0)
 
     def middle_s(self, camera: Camera) -> float:
         return camera.controls.time_s.nearest(0.005)
