@@ -58,6 +58,7 @@ def test_without_alignment_they_are_named_as_they_were(opened: Opened) -> None:
     assert codes.count("shifted") == 3
 
 
+@pytest.mark.slow
 def test_turned_photographs_need_a_homography(opened: Opened) -> None:
     shifted = opened(TIMES, scene=LARGE, change=turned)
     left = [
