@@ -147,7 +147,7 @@ class LightChecks(CameraSuite):
         both = self.usable(camera, first) & self.usable(camera, second)
         level = np.diff(np.asarray(camera.controls.levels.gaps[0])).max()  # irradiance of a level
         for a, b, usable in zip(*(layout.planes(x) for x in (*light, both)), strict=True):
-            noise = _noise(b - a)
+            noise = steps_noise(b - a)
             for block in _blocks(a.shape[0], a.shape[1]):
                 count = int(usable[block].sum())
                 if count < 8:
@@ -187,7 +187,7 @@ def _compensated(
     return setting
 
 
-def _noise(difference: NDArray[np.float64]) -> float:
+def steps_noise(difference: NDArray[np.float64]) -> float:
     """Return the standard deviation of the noise in a difference, without what varies slowly."""
     steps = np.diff(difference, axis=1)
     return float(np.median(np.abs(steps)) * 1.4826 / np.sqrt(2))

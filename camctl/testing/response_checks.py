@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from camctl.interface.camera import Camera, Frame
 from camctl.interface.controls import ExposureSetting
 from camctl.model.sensor import CLIPPING_SIGMAS, JPEG_BLOCK_ERROR, SensorModel
-from camctl.testing.light_checks import LightChecks
+from camctl.testing.light_checks import LightChecks, steps_noise
 from camctl.testing.suite import QUANTISATION, STANDARD_ERRORS, UNUSABLE
 
 # Frames whose mean tells the light of each sample: its noise is half of that of one.
@@ -44,7 +44,8 @@ class _Known(NamedTuple):
         setting: theirs
         light: mean of each sample, full scale is 1
         usable: which samples are well exposed
-        sigma: standard deviation of the light of one sample at `light` of `typical`
+        sigma: standard deviation of the light of one sample at `typical`, between frames
+        reach: the same, where frames repeat their noise: what neighbouring samples scatter
         typical: median of the light
     """
 
@@ -52,6 +53,7 @@ class _Known(NamedTuple):
     light: _Floats
     usable: NDArray[np.bool_]
     sigma: float
+    reach: float
     typical: float
 
 
@@ -125,6 +127,9 @@ class ResponseChecks(LightChecks):
                 QUANTISATION * sensor.level * (second.exposure / first.exposure - 1)
                 + STANDARD_ERRORS * error
                 + self.response_tolerance(camera) / 4 * light
+                + _rounding(sensor, known, light)
+                + _rounding(sensor, known, light * first.exposure / second.exposure)
+                * (second.exposure / first.exposure)
             )
             compared += 1
             assert abs(added) <= allowed, (
@@ -150,15 +155,13 @@ class ResponseChecks(LightChecks):
         for group in groups:
             if _DARK * sensor.full < group.expected < _BRIGHT * sensor.full:
                 continue
-            reach = CLIPPING_SIGMAS * _sigma(sensor, known, group.expected)
+            reach = CLIPPING_SIGMAS * _scaled(known.reach, sensor, known, group.expected)
             is_cut = sensor.black == 0 and group.expected <= reach + sensor.level
             if is_cut or group.expected + reach >= sensor.full:
                 continue
             compared += 1
-            light, step = np.array([group.expected]), sensor.step(np.array([group.expected]))
-            variance = _sigma(sensor, known, group.expected) ** 2
-            # What samples of one light have in common: its largest size is 3^0.5 of the deviation.
-            rounding = float(np.sqrt(3 * sensor.rounding(light, np.array([variance]))[1])[0])
+            step = sensor.step(np.array([group.expected]))
+            rounding = _rounding(sensor, known, group.expected)
             if self.is_lossy(camera, frame):
                 rounding = max(rounding, JPEG_BLOCK_ERROR * float(step[0]))
             allowed = (
@@ -182,7 +185,9 @@ class ResponseChecks(LightChecks):
             pytest.fail(UNUSABLE)
         sigma = float(np.sqrt(light[:, usable].var(axis=0, ddof=1).mean()))
         mean = light.mean(axis=0)
-        return _Known(middle, mean, usable, sigma, float(np.median(mean[usable])))
+        planes = camera.controls.layout.planes(mean)
+        reach = sigma or max(steps_noise(plane) for plane in planes)
+        return _Known(middle, mean, usable, sigma, reach, float(np.median(mean[usable])))
 
     def _sensor(self, camera: Camera) -> SensorModel:
         return SensorModel(camera.controls.levels, camera.controls.black)
@@ -196,14 +201,23 @@ class ResponseChecks(LightChecks):
         return np.asarray(light, np.float64)
 
 
-def _sigma(sensor: SensorModel, known: _Known, light: float) -> float:
+def _rounding(sensor: SensorModel, known: _Known, light: float) -> float:
+    """Return the largest error of rounding that samples of one light have in common.
+
+    It is uniform, up to 3^0.5 of its standard deviation.
+    """
+    variance = np.array([_scaled(known.sigma, sensor, known, light) ** 2])
+    return float(np.sqrt(3 * sensor.rounding(np.array([light]), variance)[1])[0])
+
+
+def _scaled(sigma: float, sensor: SensorModel, known: _Known, light: float) -> float:
     """Return the standard deviation of a sample's light at another light than the known one.
 
     That of photons goes with the root of the light, that of compression with the response.
     """
     steps = sensor.step(np.array([light, known.typical]))
     factor = max((light / known.typical) ** 0.5, float(steps[0] / steps[1]))
-    return float(known.sigma * factor)
+    return float(sigma * factor)
 
 
 def _groups(light: _Floats, usable: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
