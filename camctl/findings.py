@@ -56,6 +56,7 @@ CODES: Final[dict[str, str]] = {
     "light_spread": "share of the samples that are too bright by light that spread, or that moved",
     "noise_differs": "effective levels that the pixels show; the known noise predicts others",
     "noise_unknown": "share of the samples whose noise the frames do not show",
+    "quantisation_only": "nothing: the noise of the camera is unknown, and accuracy leaves it out",
     # Photographs already taken; `details` name the files, which need not be frames of the picture.
     "aligned": "how far what was moved most was moved, pixels",
     "blurred": "contrast over the contrast in the other photographs",

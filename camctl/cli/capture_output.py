@@ -225,7 +225,7 @@ def capture_text(report: CaptureReport, directory: Path, *, with_bars: bool = Fa
         rows.append(("shot again", f"{frames}: the first one did not fit the other frames"))
     rows += [
         *_levels_rows(achieved, plan),
-        *_front_rows(plan),
+        *_front_rows(plan, report.camera.id),
         (
             "missing levels (xi)",
             f"{format_number(achieved.xi, 5)} of {format_number(plan.levels_wanted)}",
@@ -294,8 +294,13 @@ def _wall_rows(report: CaptureReport) -> list[tuple[str, str]]:
     return [("", text)]
 
 
-def _front_rows(plan: CapturePlan) -> list[tuple[str, str]]:
-    """Return what half and double the time would give, where the plan knows that."""
+def _front_rows(plan: CapturePlan, camera_id: str) -> list[tuple[str, str]]:
+    """Return what half and double the time would give, where the plan knows that, or why not."""
+    from camctl.exposure.noise import noise_findings
+    from camctl.messages.command_line import finding_line
+
+    if findings := noise_findings(plan.noise, camera_id):
+        return [("time / accuracy", finding_line(finding)) for finding in findings]
     if plan.front is None or plan.wall_s is None or not plan.is_wall_known:
         return []
     times = [plan.wall_s / 2, plan.wall_s, 2 * plan.wall_s]

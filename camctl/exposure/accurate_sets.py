@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from camctl.exposure.frame_sets import Design
 from camctl.exposure.judge import Judge
 from camctl.exposure.least_quantisation import COUNTS, least_quantisation
 from camctl.exposure.listed_sets import ListedSets
+from camctl.exposure.noise import DITHERS
 from camctl.exposure.random_sets import interleave_step
 from camctl.model.distribution import deviation
 
@@ -31,6 +33,10 @@ DITHERING = 0.3
 NEAR_BEST = 0.98
 """Share of the estimated levels of the best set from which a set is judged: the errors of the
 estimates of similar sets differ by less."""
+
+MOST_JUDGED, MOST_SMOOTH = 6, 2
+"""Such sets that are judged, at most, and of their like at other gains; and where noise dithers the
+quantiser in the dark, too, so that the estimate errs alike for all of them."""
 
 KNEE = 0.97
 """Share of the largest levels^2 / time from which more time counts as no better than averaging.
@@ -51,10 +57,6 @@ MOST_POLISHED = 25_000
 """Levels of the sums of sets that are rated exactly beside one, at most: 0.25 s for 8 bits.  With
 more levels the noise hides how they interleave.  Where the pixels' offsets differ they count three
 times, as often as they are summed."""
-
-MOST_REGAINED = 4
-"""Sets of other gains that are judged, at most, those of the best estimate: it errs most where it
-is dark."""
 
 SPREADS = (0.5, 1.0, 1.5)
 """Distances tried between equal exposures, in gaps between levels near full scale."""
@@ -88,6 +90,10 @@ WEIGHT_LIMITS = 0.02, 10.0
 """Least and largest weight of time (see `camctl.exposure.design`) that is believed there."""
 
 
+Judged: TypeAlias = tuple[Rated, Design, DesignSearch]
+"""A set with its exact rating, and the search that it comes from."""
+
+
 class AccurateSets:
     """Finds sets of exposures for one problem; each is judged once.
 
@@ -102,8 +108,11 @@ class AccurateSets:
     def __init__(self, problem: AccuracyProblem, counts: tuple[int, int]) -> None:
         self.problem, self.counts = problem, counts
         noise = problem.noise.frame(gain=min(problem.available.gains), time_s=0.0)
-        at = np.array([1 / 16])  # a frame that is exposed to 1/16 of full scale
-        self.dithered = float(deviation(problem.response, at, noise)[0]) >= DITHERING
+        at = np.array([0.0, 1 / 16])  # in the dark, and at 1/16 of full scale
+        dark, lit = deviation(problem.response, at, noise).tolist()
+        self.dithered = lit >= DITHERING
+        self._is_smooth = dark >= DITHERS
+        self._most = MOST_SMOOTH if self._is_smooth else MOST_JUDGED
         frames = FrameAccuracy(problem)
         self.searches = [DesignSearch(frames, base, counts) for base in bases(problem)]
         self.judge = Judge(frames, dithered=self.dithered)
@@ -124,15 +133,34 @@ class AccurateSets:
         return max(search.most_accurate.time for search in self.searches)
 
     def estimated(self, limit: float) -> Rated:
-        """Return about the most accurate set within a time: the best by the estimate."""
-        design, search = self._best_estimated(limit)
+        """Return about the most accurate set within a time: the best by the estimate.
+
+        Where that errs smoothly, it is one of the sets along the front, scaled to the time.
+        """
+        if not self._is_smooth:
+            return self._roughly_rated(*self._best_estimated(limit))
+        both = [(search.roughly_within(limit), search) for search in self._possible(limit)]
+        return self._roughly_rated(*min(both, key=lambda pair: pair[0].mse))
+
+    def _roughly_rated(self, design: Design, search: DesignSearch) -> Rated:
+        """Return a set with its exact levels, or by the estimate where that errs smoothly."""
+        if self._is_smooth:
+            return Rated(search.shots(design), design.levels, design.time)
         return self.judge(search.shots(design))
 
     def _best_estimated(
         self, limit: float, *, thorough: bool = False
     ) -> tuple[Design, DesignSearch]:
-        both = [(each.within(limit, thorough=thorough), each) for each in self._possible(limit)]
-        return max(both, key=lambda pair: pair[0].levels)
+        return self._estimates(limit, thorough=thorough)[0]
+
+    def _estimates(self, limit: float, *, thorough: bool) -> list[tuple[Design, DesignSearch]]:
+        """Return sets within a time, the best by the estimate first."""
+        pairs = [
+            (design, search)
+            for search in self._possible(limit)
+            for design in search.several_within(limit, thorough=thorough)
+        ]
+        return sorted(pairs, key=lambda pair: pair[0].mse)
 
     def _possible(self, limit: float) -> list[DesignSearch]:
         fewest, limit = self.counts[0], limit * (1 + SAME)
@@ -149,16 +177,27 @@ class AccurateSets:
         """
         listed = self._listed.most_accurate(limit) if self._listed.numbers else None
         found = [] if listed is None else [listed]
-        possible = [] if self.enumerated else self._possible(limit)
-        designs = [(search.within(limit, thorough=polished), search) for search in possible]
-        most = max((design.levels for design, _ in designs), default=0.0)
-        for design, search in designs:
-            if design.levels < NEAR_BEST * most:
-                continue
-            found.append(self.judge(search.shots(design)))
-            if polished and not self.problem.noise.is_none:
+        polishes = polished and not self.problem.noise.is_none
+        if self.enumerated:
+            pairs = []
+        elif self.problem.noise.is_none and not self.searches[0].is_list:
+            pairs = [(self.searches[0].roughly_within(limit), self.searches[0])]
+        else:
+            pairs = self._estimates(limit, thorough=polishes)
+        near = [pair for pair in pairs if pair[0].levels >= NEAR_BEST * pairs[0][0].levels]
+        judged = [
+            (self.judge(search.shots(design)), design, search)
+            for design, search in near[: self._most if polishes else 1]
+        ]
+        judged.sort(key=lambda each: -each[0].levels)
+        if polishes:
+            judged = self._regained(judged, limit)
+            for _, design, search in judged[:1]:
                 found.append(self._polished(search, design, limit))
-            if not self.dithered and not search.is_list:
+        found += [rated for rated, _, _ in judged]
+        if not self.dithered:
+            for search in dict.fromkeys(search for _, search in near if not search.is_list):
+                design = next(design for design, each in near if each is search)
                 sets = least_quantisation(search, design, limit, thorough=polished, counts=counts)
                 found += [self.judge(each) for each in sets]
         return max(found, key=lambda each: (each.levels, -each.time))
@@ -191,15 +230,27 @@ class AccurateSets:
             found.append(Rated(search.shots(design), levels, design.time))
         return found
 
+    def _regained(self, judged: list[Judged], limit: float) -> list[Judged]:
+        """Return judged sets and, of sets that are like them at other gains, the most promising.
+
+        The estimate errs most where it is dark, and differently at each gain.
+        """
+        trials = [
+            (trial.levels * rated.levels / design.levels, trial, search)
+            for rated, design, search in judged
+            for trial in search.regained(design)
+            if trial.time <= limit * (1 + SAME)
+        ]
+        trials.sort(key=lambda each: -each[0])
+        for expected, trial, search in trials[: self._most]:
+            if expected >= NEAR_BEST * judged[0][0].levels:
+                judged.append((self.judge(search.shots(trial)), trial, search))
+        return sorted(judged, key=lambda each: -each[0].levels)
+
     def _polished(self, search: DesignSearch, design: Design, limit: float) -> Rated:
         best = self.judge(search.shots(design))
         work = design.n * self.problem.response.M * (3 if search.frames.has_shift else 1)
         remaining = MOST_POLISHED // work
-        regained = sorted(search.regained(design), key=lambda each: each.mse)
-        for trial in regained[:MOST_REGAINED]:
-            rated = self.judge(search.shots(trial))
-            if rated.levels > best.levels and rated.time <= limit * (1 + SAME):
-                best, design = rated, trial
         if search.is_list or not remaining:
             return best
         gap = interleave_step(self.problem.response)
@@ -389,6 +440,6 @@ class AccurateSets:
         if design.levels >= FAR_ABOVE * floor[0]:
             return found
         usual, search = self._of_count(floor[1])
-        levels = self.judge(search.shots(usual)).levels
+        levels = self._roughly_rated(usual, search).levels
         least = min(floor[0], NEAR_USUAL * levels)
         return replace(found, levels=max(design.levels * levels / usual.levels, least))

@@ -11,6 +11,7 @@ levels grow as time^(w/2).  For w = 1 more time brings what averaging would brin
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from functools import cached_property
 from itertools import combinations
 
@@ -33,8 +34,11 @@ all of them."""
 MAX_ROUNDS = 60
 """Exchanges in a row, at most: a set of 16 is replaced some times over."""
 
-TUNED, IMPROVED = 4, 3
+TUNED, IMPROVED = 4, 4
 """Sets that are tuned to a time, and sets of which frames are then exchanged if it is thorough."""
+
+NEAR_MSE = 1.02
+"""Ratio of estimated errors up to which either set may be the better one: 1 % of the levels."""
 
 NEAR = 7
 """Settings of a list that are tried for each frame of a pair."""
@@ -107,17 +111,24 @@ class DesignSearch(TunedSets):
         return self.changed(design, added, [place] if place < design.n else [])
 
     def trace(
-        self, *, time: float = math.inf, levels: float = math.inf, weight: float = 0.0
+        self,
+        *,
+        time: float = math.inf,
+        levels: float = math.inf,
+        weight: float = 0.0,
+        count: float = math.inf,
     ) -> list[Design]:
         """Return sets along the front, the shortest first: for `WEIGHTS`, and for each number.
 
-        They go on until two take longer than `time`, one has more than `levels`, or one is for a
-        smaller `weight`; what was traced before is not traced again.
+        They go on until two take longer than `time`, one has more than `levels`, one is for a
+        smaller `weight`, or one has more frames than `count`; what was traced before is not traced
+        again.
         """
         while (
             len(self._weights) > 0
             and sum(each.time > time * (1 + SAME) for each in self._trace[-2:]) < 2
             and not (self._trace and self._trace[-1].levels > levels)
+            and not (self._trace and self._trace[-1].n > count)
             and not (self._trace and self._traced_weight < weight)
         ):
             self._traced_weight = next_weight = self._weights.pop(0)
@@ -157,32 +168,66 @@ class DesignSearch(TunedSets):
     def of_count(self, n: int) -> Design:
         """Return the most accurate set of n frames, for which time is worth next to nothing."""
         best = self.fastest(n)
-        for start in [best, *(each for each in self.trace() if each.n == n)]:
+        for start in [best, *(each for each in self.trace(count=n) if each.n == n)]:
             found = self.tuned(self.exchanged(start, LEAST_WEIGHT, sizes=False), LEAST_WEIGHT)
             best = min(best, found, key=lambda each: each.mse)
         return best
 
-    def within(self, limit: float, *, thorough: bool = False) -> Design:
-        """Return the set of least error that takes `limit` at most, without the fixed time.
+    def within(self, limit: float) -> Design:
+        """Return about the set of least error that takes `limit` at most, without the fixed time.
 
-        `limit` is at least `least_time` of the fewest frames.  A `thorough` search takes three
-        times as long: it is then within 0.1 % of the best of many, else within 0.4 %.
+        `limit` is at least `least_time` of the fewest frames.
+        """
+        return self.several_within(limit, thorough=False)[0]
+
+    def roughly_within(self, limit: float) -> Design:
+        """Return the better of the traced sets beside a time, scaled to it; it takes next to none.
+
+        `limit` is as for `within`.
+        """
+        traced = self.trace(time=limit)
+        beside = [each for each in traced if each.time <= limit][-1:]
+        beside += [each for each in traced if each.time > limit][:1]
+        possible = [each for each in beside if self.least_time(each.n) <= limit * (1 + SAME)]
+        starts = possible or [self.fastest(self.counts[0])]
+        return min((self.fitted(each, limit) for each in starts), key=lambda each: each.mse)
+
+    def several_within(self, limit: float, *, thorough: bool = True) -> list[Design]:
+        """Return sets of little error that take `limit` at most, the best of each number of frames.
+
+        A thorough search also adds frames for as long as that costs next to nothing: by the
+        estimate, sets of different numbers are often equal, which the exact prediction tells apart.
         """
         traced = self.trace(time=limit)
         below = [each for each in traced if each.time <= limit]
         above = [each for each in traced if each.time > limit]
         if not above and self.most_accurate.time <= limit * (1 + SAME):
-            return self.most_accurate
+            return [self.most_accurate]
         starts = [self.fastest(self.counts[0])]
         for start in below[-2:] + above[:2]:
             starts += self._resized(start, limit)
-        fitted = sorted((self.fitted(each, limit) for each in starts), key=lambda each: each.mse)
-        of_count = {each.n: each for each in reversed(fitted)}
-        some = sorted(of_count.values(), key=lambda each: each.mse)[: None if thorough else TUNED]
-        tuned = [self.refitted(each, limit) for each in some]
-        tuned.sort(key=lambda each: each.mse)
-        kept = tuned[: IMPROVED if thorough else IMPROVED - 1]
-        return min((self._improved(each, limit) for each in kept), key=lambda each: each.mse)
+        fitted = _best_of_each(self.fitted(each, limit) for each in starts)
+        tuned = [self.refitted(each, limit) for each in fitted[: None if thorough else TUNED]]
+        tuned = _best_of_each(tuned)
+        if thorough:
+            tuned = _best_of_each([*tuned, *self._grown(tuned[0], limit)])
+        kept = [each for each in tuned if each.mse < tuned[0].mse * NEAR_MSE]
+        kept = kept[: IMPROVED if thorough else 2]
+        return _best_of_each([*(self._improved(each, limit) for each in kept), *tuned])
+
+    def _grown(self, design: Design, limit: float) -> list[Design]:
+        """Return sets with one frame more each, down to those that are clearly worse."""
+        found, current, weight = [], design, self.weight_of(design)
+        while (
+            current.n < self.counts[1]
+            and self.least_time(current.n + 1) <= limit * (1 + SAME)
+            and current.mse < design.mse * NEAR_MSE
+        ):
+            mse = self.frames.mse(current.parts.sum(axis=1)[:, np.newaxis] + self.parts)
+            option = int(self.merits(mse, current.time + self.cost, weight).argmin())
+            current = self.scaled(self.changed(current, [option], []), limit)
+            found.append(current)
+        return found
 
     def _improved(self, design: Design, limit: float) -> Design:
         """Return a set with exchanged frames and tuned times, for as long as it becomes better."""
@@ -192,7 +237,7 @@ class DesignSearch(TunedSets):
                 improved = self.exchanged(best, 0.0, limit=limit * (1 + SAME))
                 improved = self._paired(improved, limit * (1 + SAME))
             else:
-                improved = self.exchanged(best, self.weight_of(best), rounds=1)
+                improved = self.exchanged(best, self.weight_of(best), rounds=1, sizes=False)
                 improved = self.scaled(improved, limit)
             if improved.time > limit * (1 + SAME) or not improved.mse < best.mse * (1 - BETTER):
                 break
@@ -239,3 +284,9 @@ class DesignSearch(TunedSets):
         distance = np.abs(self.log_exposure - design.log_exposure[place])
         distance = distance + np.abs(self.gain - design.gain[place])
         return np.asarray(np.argsort(distance, kind="stable")[:NEAR])
+
+
+def _best_of_each(designs: Iterable[Design]) -> list[Design]:
+    """Return the set of least error of each number of frames, the best first."""
+    found = {each.n: each for each in sorted(designs, key=lambda each: -each.mse)}
+    return sorted(found.values(), key=lambda each: each.mse)

@@ -90,6 +90,8 @@ class FrameSets:
             steps = np.linspace(0.0, reach, math.ceil(reach / LATTICE) + 1)
             log_exposure = np.tile(steps, self.gains.size)
             gain = np.repeat(np.arange(self.gains.size), steps.size)
+            each = np.arange(self.gains.size)
+            log_exposure, gain = np.append(log_exposure, self.idle(each)), np.append(gain, each)
             low, high = self.limits(gain)
             kept = (log_exposure >= low - SAME) & (log_exposure <= high + SAME)
             # What is over within a frame at a lower gain takes no more time for it.
@@ -111,6 +113,11 @@ class FrameSets:
         shift = np.log(self.gains[gain] / self.base)
         low = np.maximum(0.0, math.log(max(available.shortest, 1e-300)) + shift)
         return low, np.minimum(math.log(self.problem.reach), math.log(available.longest) + shift)
+
+    def idle(self, gain: NDArray[np.intp]) -> FloatArray:
+        """Return ln(exposure) at gains up to which more time costs nothing; -690 where it does."""
+        least = math.log(max(self.costs.least, 1e-300))
+        return np.asarray(least + np.log(self.gains[gain] / self.base))
 
     def _times(self, log_exposure: FloatArray, gain: NDArray[np.intp]) -> FloatArray:
         return np.asarray(np.exp(log_exposure) * self.base / self.gains[gain])

@@ -38,6 +38,9 @@ MAX_LEVELS, QUICK_LEVELS = 511, 127
 """Cameras of more levels (the second where the search is quick) are searched by every second,
 fourth, ... of them; the distances between levels that interleave are then reduced as much."""
 
+NEWTON_STEPS = 8
+"""Steps by which sets are scaled to a time: from a thousand times it to 1e-9 above it."""
+
 BEST = 2
 """Best sets that are returned."""
 
@@ -56,7 +59,7 @@ def least_quantisation(
 
     Args:
         search: for one shortest exposure, where any time can be set
-        design: a set that the estimate found
+        design: a set from which the search starts, too
         limit: longest time of the sets, without their fixed time
         thorough: whether the best numbers of exposures are searched at length
         counts: numbers of exposures that are tried first
@@ -124,16 +127,21 @@ def _best_of(search: DesignSearch, n: int, design: Design, limit: float, share: 
 
 def _in_time(search: DesignSearch, sets: FloatArray, limit: float) -> FloatArray:
     """Return sets of ln(exposure), scaled towards 0 until they take `limit` at most."""
-    unit = search.base / float(search.gains[0])
-    low, high = np.zeros((len(sets), 1)), np.ones((len(sets), 1))
+    unit, costs = search.base / float(search.gains[0]), search.costs
 
-    def is_long(factor: FloatArray | float) -> np.ndarray:
-        cost = search.costs.each(np.exp(sets * factor) * unit)
-        return np.asarray(cost.sum(axis=1, keepdims=True) > limit)
+    def total(logs: FloatArray) -> FloatArray:
+        return np.asarray(costs.each(np.exp(logs) * unit).sum(axis=1))
 
-    over = is_long(1.0)
-    for _ in range(30):
-        middle = (low + high) / 2
-        long = is_long(middle)
-        high, low = np.where(long, middle, high), np.where(long, low, middle)
-    return np.where(over, sets * low, sets)
+    over = np.flatnonzero(total(sets) > limit)
+    rows, factor = sets[over], np.ones(over.size)
+    # ln(time) is a convex function of the factor: Newton's steps approach its root from above.
+    for _ in range(NEWTON_STEPS):
+        scaled = rows * factor[:, np.newaxis]
+        times = np.exp(scaled) * unit
+        slope = np.where(times > costs.least, rows * times, 0.0).sum(axis=1) * costs.factor
+        time = total(scaled)
+        excess = time * np.log(np.maximum(time / limit, 1.0))
+        factor = np.maximum(factor - excess / np.maximum(slope, 1e-300), 0.0)
+    found = sets.copy()
+    found[over] = rows * factor[:, np.newaxis]
+    return found

@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camctl.errors import UsageError, unknown_name
+from camctl.findings import Finding
 from camctl.model.distribution import check_noise
 from camctl.model.effective import EffectiveCamera, effective_levels
 from camctl.model.inverse import posterior_of
-from camctl.model.noise import FrameNoise
+from camctl.model.noise import FrameNoise, NoiseModel
 from camctl.model.response.camera import FloatArray, every_nth_level
 from camctl.model.response.desired import DesiredResponse
 
@@ -69,6 +70,13 @@ class NoiseTerm:
         else:
             variance = n / exposures.sum(axis=1) ** 2
         return np.asarray(self.weight * self.sigma**2 * variance)
+
+
+def noise_findings(noise: NoiseModel | None, camera_id: str | None = None) -> tuple[Finding, ...]:
+    """Return a finding where the noise is not known, so that accuracy is of quantisation alone."""
+    if noise is not None:
+        return ()
+    return (Finding(code="quantisation_only", remedies={"calibrate_noise": camera_id}),)
 
 
 def coarser(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,9 @@ SHORTEST_STEP = 2e-3
 MAX_STEPS = 12
 """Newton steps of the times, at most: they converge in 3 to 6."""
 
+Derivatives: TypeAlias = tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+"""Gradient and Hessian of the error, and of the time."""
+
 SAME_TIME = 1e-6
 """Relative difference up to which a set takes the time that it may."""
 
@@ -41,8 +45,7 @@ class TunedSets(FrameSets):
         """Return the set with its times tuned to the least merit, at the same gains."""
 
         def step(current: Design) -> FloatArray:
-            error, time = self._derivatives(current)
-            return _newton(error[0] + weight * time[0], error[1] + weight * time[1])
+            return self._step(current, self._derivatives(current), weight)
 
         def is_better(found: Design, best: Design) -> bool:
             return self.merit(found, weight) < self.merit(best, weight) - BETTER
@@ -53,10 +56,11 @@ class TunedSets(FrameSets):
         """Return the set with its times tuned at the time that it takes, `limit` at most."""
 
         def step(current: Design) -> FloatArray:
-            error, time = self._derivatives(current)
-            along = float(time[0] @ time[0])
-            weight = max(0.0, -float(error[0] @ time[0]) / along) if along > 0 else 0.0
-            return _newton(error[0] + weight * time[0], error[1] + weight * time[1])
+            error, time = derivatives = self._derivatives(current)
+            binding = np.where(self._idles(current)[1:], 0.0, time[0])
+            along = float(binding @ binding)
+            weight = max(0.0, -float(error[0] @ binding) / along) if along > 0 else 0.0
+            return self._step(current, derivatives, weight)
 
         def moved(current: Design, step: FloatArray) -> Design:
             place = self._stepped(current, step)
@@ -99,17 +103,44 @@ class TunedSets(FrameSets):
     def _moved(self, design: Design, step: FloatArray) -> Design:
         return self.design(self._stepped(design, step), design.gain)
 
+    def _step(self, design: Design, derivatives: Derivatives, weight: float) -> FloatArray:
+        """Return Newton's step of all times but the first for a weight of time.
+
+        A frame that lasts exactly as long as costs nothing stays where it is if more costs more
+        than it brings, and less costs accuracy.
+        """
+        (error, error_2), (time, time_2) = derivatives
+        gradient = error + weight * time
+        is_idle = self._idles(design)[1:]
+        moves = ~(is_idle & (gradient > 0) & (error <= 0))
+        step = np.zeros(gradient.size)
+        gradient = np.where(is_idle & (error > 0), error, gradient)
+        if moves.any():
+            hessian = (error_2 + weight * time_2)[np.ix_(moves, moves)]
+            step[moves] = _newton(gradient[moves], hessian)
+        return step
+
+    def _idles(self, design: Design) -> NDArray[np.bool_]:
+        """Return which frames last exactly as long as costs nothing."""
+        return np.asarray(np.abs(design.log_exposure - self.idle(design.gain)) <= SAME)
+
     def _stepped(self, design: Design, step: FloatArray) -> FloatArray:
-        """Return ln(exposure) of a set after a step of all but the first, within the limits."""
+        """Return ln(exposure) of a set after a step of all but the first, within the limits.
+
+        No time passes the one up to which it costs nothing, since the cost has a kink there.
+        """
         low, high = self.limits(design.gain)
-        moved = np.clip(design.log_exposure + np.append(0.0, step), low, high)
+        at, idle = design.log_exposure, self.idle(design.gain)
+        low = np.where(at > idle + SAME, np.maximum(low, idle), low)
+        high = np.where(at < idle - SAME, np.minimum(high, idle), high)
+        moved = np.clip(at + np.append(0.0, step), low, np.maximum(low, high))
         moved[0] = 0.0  # the shortest exposure
         return np.asarray(moved)
 
-    def _derivatives(
-        self, design: Design
-    ) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+    def _derivatives(self, design: Design) -> Derivatives:
         """Return gradient and Hessian of ln(mse), and of ln(time), by ln(exposure) but the first.
+
+        Where the cost has a kink, its derivative is towards longer times.
 
         What an exposure contributes has its derivatives by differences over `DELTA`; those of the
         sum follow from them.
@@ -132,7 +163,9 @@ class TunedSets(FrameSets):
         hessian -= np.outer(gradient, gradient)
         times = self._times(at, gain)
         total = design.time + self.costs.fixed
-        rate = np.where(times > self.costs.least, self.costs.factor * times / total, 0.0)
+        rate = np.where(
+            times >= self.costs.least * (1 - SAME), self.costs.factor * times / total, 0.0
+        )
         return (gradient, hessian), (rate, np.diag(rate) - np.outer(rate, rate))
 
     def weight_of(self, design: Design) -> float:
@@ -206,8 +239,10 @@ class TunedSets(FrameSets):
         """Return ln(exposure) with the times scaled to `limit`; None: no scale is short enough."""
         low, high = self.limits(gain)
         # What is shorter than a frame does not take less time for being shorter.
-        idle = math.log(max(self.costs.least, 1e-300)) + np.log(self.gains[gain] / self.base)
+        idle = self.idle(gain)
         floor = np.clip(np.minimum(idle, log_exposure), low, high)
+        if np.any(log_exposure > idle + SAME):  # nor should it become one that does
+            high = np.where(log_exposure <= idle + SAME, np.maximum(log_exposure, low), high)
         low[0] = high[0] = floor[0] = 0.0  # the shortest exposure
         time, bottom, top = (self._times(each, gain) for each in (log_exposure, floor, high))
         bottom = np.maximum(bottom, self.costs.least)

@@ -284,6 +284,10 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
     "moved": _moved,
     "noise_differs": _noise_differs,
     "noise_unknown": _noise_unknown,
+    "quantisation_only": lambda _: (
+        "the noise of this camera is not known: effective levels, and what more time would bring, "
+        "count quantisation alone, and real ones are fewer"
+    ),
     "picture_black": lambda _: (
         "the picture is black in every exposure; take the lens cap off, or expose longer"
     ),

@@ -73,6 +73,7 @@ _FINDINGS = (
     ),
     Finding(code="noise_differs", value=41.2, details={"predicted": 63.5}),
     Finding(code="noise_unknown", value=0.25),
+    Finding(code="quantisation_only", remedies={"calibrate_noise": "v4l2:0"}),
 )
 _PHOTOGRAPHS = (
     Finding(code="blurred", value=0.6, details={"file": "c.jpg", "left_out": True}),

@@ -19,7 +19,11 @@ _MOST_GROUPS = 7
 
 def study_text(study: CaptureStudy) -> str:
     """Return the table, the error by decade, what it says in words, and what has no result."""
+    from camctl.exposure.noise import noise_findings
+    from camctl.messages.command_line import finding_line
+
     run = study.runs[0]
+    is_known = study.results[0][1].noise_known
     before = f"{run.sensor} sensor before {run.scene}" if run.scene else run.camera
     parts = [
         f"{run.desired.description}; {before}; shortest exposure {format_duration(run.base_s)}",
@@ -27,6 +31,7 @@ def study_text(study: CaptureStudy) -> str:
         _explanation(study),
         _decades_text(study),
         "\n".join(study.in_words(_short)),
+        "" if is_known else "\n".join(map(finding_line, noise_findings(None, run.camera))),
         "\n".join(
             f"{run.method}, {run.n} exposure{'s' * (run.n > 1)}: {point.note}"
             for run, point in zip(study.runs, study.points, strict=True)

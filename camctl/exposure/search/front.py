@@ -46,7 +46,7 @@ from camctl.model.effective import EffectiveCamera
 from camctl.model.noise import NoiseModel
 from camctl.model.response.desired import DesiredResponse
 
-VERSION = 1
+VERSION = 2
 """Part of the key of a kept point; it changes where the search finds other settings."""
 
 POINTS = 12

@@ -59,6 +59,20 @@ class Chosen:
     front: Front | None = None
 
 
+def _largest(top: int, low: int, is_enough: Callable[[int], bool]) -> int:
+    """Return the largest place from `low` up to `top` that is enough, by halving.
+
+    `top` where `low` is not enough, or not below it.
+    """
+    if low >= top or is_enough(top) or not is_enough(low):
+        return top
+    high = top
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if is_enough(middle) else (low, middle)
+    return low
+
+
 def choose_range(
     controls: ExposureControls,
     request: CaptureRequest,
@@ -113,11 +127,12 @@ def choose_range(
 
     if request.ratios is not None:
         return choose(desired(top))
-    least = LEAST_SHARE * possible(ladder.index(RANGES["low"]))
+    low = ladder.index(RANGES["low"])
+    least = LEAST_SHARE * possible(low)
     if request.accuracy is not None:
-        least = _NEARLY * request.accuracy
-    # A smaller range does not always have more levels: all of them are considered.
-    for place in range(top, -1, -1):
+        low, least = 0, _NEARLY * request.accuracy
+    # A smaller range may have a few levels less, but not half of them.
+    for place in range(_largest(top, low, lambda place: possible(place) >= least), -1, -1):
         if possible(place) < least:
             continue
         chosen, levels = solved(place)
