@@ -13,7 +13,8 @@ from functools import partial
 from camctl.errors import CaptureError
 from camctl.exposure.build import look_up
 from camctl.exposure.goal import CaptureRequest
-from camctl.exposure.search.front import Front, gain_choices
+from camctl.exposure.search.front import Front
+from camctl.exposure.search.timed_problem import gain_choices
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.response.desired import DesiredResponse
 from camctl.studies.noise_optimal import NoiseOptimalProblem, noise_optimal

@@ -30,20 +30,16 @@ from camctl.exposure.accuracy import (
 from camctl.exposure.accurate_sets import AccurateSets
 from camctl.exposure.cache import kept
 from camctl.exposure.exposure_choices import (
-    AccuracyProblem,
-    AvailableExposures,
     Rated,
     Shot,
     Shots,
-    TimeCosts,
 )
 from camctl.exposure.goal import DEFAULT_COUNT, CaptureRequest
 from camctl.exposure.noise import noisy_effective_levels
-from camctl.exposure.search.settings import BASE_SLACK_STOPS, at_most, given_base
-from camctl.exposure.search.wall_time import predicted_wall_s, time_costs
-from camctl.interface.controls import Choices, Control, ExposureControls, ExposureSetting
+from camctl.exposure.search.timed_problem import timed_problem, without_costs
+from camctl.exposure.search.wall_time import predicted_wall_s
+from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.effective import EffectiveCamera
-from camctl.model.noise import NoiseModel
 from camctl.model.response.desired import DesiredResponse
 
 VERSION = 2
@@ -52,17 +48,12 @@ VERSION = 2
 POINTS = 12
 """Points of a front, evenly over the logarithm of the time."""
 
-NO_NOISE = NoiseModel(1.0, photon_noise=False)
-"""What is assumed of a camera whose noise is unknown."""
-
 SMOOTH_LEVELS = 66.0
 """Effective levels at which noise is just not seen: its standard deviation in the brightness of a
 display with a contrast of 1:100, ln(100) / (sqrt(12) L), is 2 %, Weber's fraction of the eye."""
 
 #: Fewest effective levels of the recommended point, or as many as so many exposures have.
 _FLOOR = SMOOTH_LEVELS, DEFAULT_COUNT
-#: Whole flicker periods that are tried as shutter times, at most.
-_PERIODS = 200
 #: Factors on the effective levels asked of the search until the camera's own steps reach them.
 _MORE_LEVELS = (1.0, 1.002, 1.006, 1.02)
 #: Relative change of exposures, by rounding, that changes the effective levels by at most 0.1 %.
@@ -150,7 +141,9 @@ class Front:
         self.has_noise = controls.noise is not None
         count = self._request.count
         self._counts = COUNTS if count is None else (count,)
-        self._problem = self._timed_problem(limit_s)
+        self._problem = timed_problem(
+            controls, desired, limit_s, request=self._request, before=before
+        )
         self._unit_s = self._problem.available.unit_s
         self._answers: dict[str, tuple[FrontPoint, ...]] = {}
 
@@ -193,7 +186,9 @@ class Front:
         """The fastest point within 0.5 % of the most effective levels, shutter times counted."""
 
         def find() -> tuple[FrontPoint, ...]:
-            found = most_accurate(accurate_sets(self._without_costs, self._counts))
+            found = most_accurate(
+                accurate_sets(without_costs(self._problem, self.controls), self._counts)
+            )
             return (self._point(found, is_exact=True),)
 
         return self._kept("most accurate", find)[0]
@@ -405,81 +400,3 @@ class Front:
                 levels = sets.judge(shots).levels
         time_s = predicted_wall_s(controls, settings, before=self._before)
         return FrontPoint(tuple(settings), ratios, time_s, levels)
-
-    def _timed_problem(self, limit_s: float) -> AccuracyProblem:
-        """Return the problem of choosing settings, with what they take in a capture."""
-        controls, request = self.controls, self._request
-        time, base_s = controls.time_s, _base(controls, request, limit_s)
-        times = _times(controls, request, base_s)
-        gains = gain_choices(controls.gain)
-        unit_s = base_s if times is None else 1.0
-        costs = time_costs(controls, before=self._before, shortest_s=base_s).in_unit(unit_s)
-        available = AvailableExposures(
-            times,
-            gains,
-            shortest=min(1.0, time.minimum / base_s),
-            longest=max(1.0, time.maximum / base_s),
-            base=(base_s * gains[0], base_s * gains[0]),
-            unit_s=unit_s,
-            costs=costs,
-        )
-        return accuracy_problem(controls, self.desired, available)
-
-    @property
-    def _without_costs(self) -> AccuracyProblem:
-        """The problem where shutter time alone counts, at the lowest gain if that is enough."""
-        available, e_min = self._problem.available, self.desired.e_min
-        is_limited = self.controls.time_s.maximum * e_min < available.unit_s
-        if self._problem.available.times is not None:
-            is_limited = self.controls.time_s.maximum * e_min < (available.base or (0.0,))[0]
-        gains = available.gains if is_limited else available.gains[:1]
-        available = replace(available, gains=gains, costs=TimeCosts())
-        return replace(self._problem, available=available)
-
-
-def gain_choices(gain: Control) -> tuple[float, ...]:
-    """Return gains to choose from: factors of two from the one nearest to 1, ascending."""
-    first = gain.nearest(1.0)
-    doublings = range(max(0, math.floor(math.log2(gain.maximum / first) + _SAME)) + 1)
-    return tuple(sorted({gain.nearest(first * 2.0**power) for power in doublings}))
-
-
-def accuracy_problem(
-    controls: ExposureControls,
-    desired: DesiredResponse,
-    available: AvailableExposures | None = None,
-) -> AccuracyProblem:
-    """Return the problem of choosing exposures for a camera; unknown noise counts as none.
-
-    Without `available`: any time at the gain nearest to 1, as is chosen where nothing limits time.
-    """
-    if available is None:
-        available = AvailableExposures(gains=(controls.gain.nearest(1.0),))
-    noise = NO_NOISE if controls.noise is None else controls.noise
-    return AccuracyProblem(controls.levels, desired, noise, available, controls.black)
-
-
-def _base(controls: ExposureControls, request: CaptureRequest, limit_s: float) -> float:
-    """Return the shutter time of the shortest exposure at the smallest gain, s."""
-    if request.base_s is not None:
-        return given_base(controls.time_s, limit_s)
-    base_s = at_most(controls.time_s, limit_s)
-    if request.mains_hz is not None:
-        period_s = 0.5 / request.mains_hz
-        whole_s = at_most(controls.time_s, math.floor(base_s / period_s + _SAME) * period_s)
-        if base_s * 2.0**-BASE_SLACK_STOPS <= whole_s:
-            return whole_s
-    return base_s
-
-
-def _times(
-    controls: ExposureControls, request: CaptureRequest, base_s: float
-) -> tuple[float, ...] | None:
-    """Return the shutter times to choose from where they are a list; None: any time."""
-    time = controls.time_s
-    if request.mains_hz is None:
-        return time.values if isinstance(time, Choices) else None
-    period_s = 0.5 / request.mains_hz
-    counts = np.unique(np.geomspace(1, max(1.0, time.maximum / period_s), _PERIODS).astype(int))
-    whole = {time.nearest(count * period_s) for count in counts.tolist()}
-    return tuple(sorted({base_s, *(t for t in whole if t >= base_s)}))
