@@ -14,7 +14,7 @@ from pathlib import Path
 
 import click
 import pytest
-from command_bases import BASES, COMMANDS, write_photographs
+from command_bases import BASES, COMMANDS, ENDLESS, write_photographs
 from command_line import Run
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -103,8 +103,9 @@ def case(name: str, option: click.Parameter) -> str:
     return f"{name} {option.opts[-1]}"
 
 
-IN_FULL = [each for each in CASES if each in DIFFERENT.values() or case(*each) in RUN_BY_DEFAULT]
-SHARED = [each for each in CASES if each not in IN_FULL]
+RUN = [each for each in CASES if each[0] not in ENDLESS]
+IN_FULL = [each for each in RUN if each in DIFFERENT.values() or case(*each) in RUN_BY_DEFAULT]
+SHARED = [each for each in RUN if each not in IN_FULL]
 SOME = 8
 """Every eighth of the values of an option in `SHARED`; one in four of these for the studies, which
 take a second each."""

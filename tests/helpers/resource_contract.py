@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import click
-from command_bases import BASES, COMMANDS, write_photographs
+from command_bases import BASES, COMMANDS, ENDLESS, write_photographs
 
 from camctl.cli import main as camctl
 from camctl.cli.parameter_types import (
@@ -123,6 +123,8 @@ def options_of(command: str) -> Iterator[tuple[str, str, list[str]]]:
 def lines() -> Iterator[tuple[str, list[str]]]:
     """Yield "command --option" and the arguments of each command line."""
     for command, bases in BASES.items():
+        if command in ENDLESS:
+            continue
         for place, (name, prefix, values) in enumerate(options_of(command)):
             base = bases[place % len(bases)].split()
             for value in values:
