@@ -119,7 +119,7 @@ class PatchErrors:
         return cls(kept, mean(after.astype(np.float64)), light, error, variance, own, shared, count)
 
 
-def _median(values: _Floats) -> float:
+def median(values: _Floats) -> float:
     """Return the median of at least one number, as `np.median` does in eight times the time."""
     ascending, middle = np.sort(values), values.size // 2
     if values.size % 2:
@@ -129,9 +129,9 @@ def _median(values: _Floats) -> float:
 
 def _trimmed_median(values: _Floats, spread: float) -> float:
     """Return the median of positive values, without those above by `TRIM` times `spread` of it."""
-    found = _median(values)
+    found = median(values)
     for _ in range(_ROUNDS):
-        found = _median(values[values <= found * (1 + TRIM * spread)])
+        found = median(values[values <= found * (1 + TRIM * spread)])
     return found
 
 
@@ -140,7 +140,7 @@ def _trimmed_mean(values: _Floats) -> float:
 
     Blocks of JPEG files have such variances: many are smooth and some are not.
     """
-    return float(np.mean(values[values <= TRIM**2 * max(_median(values), 1e-12)]))
+    return float(np.mean(values[values <= TRIM**2 * max(median(values), 1e-12)]))
 
 
 def fitted_model(part: PatchErrors, prediction: Prediction) -> Prediction:
@@ -161,7 +161,7 @@ def fitted_model(part: PatchErrors, prediction: Prediction) -> Prediction:
     )
     errors = part.error - offset - correction * part.light
     variance = variance + offset**2 + np.square(RESPONSE_ERROR * part.light)
-    more = (_median(np.abs(errors) / np.sqrt(variance)) / NORMAL_MAD) ** 2
+    more = (median(np.abs(errors) / np.sqrt(variance)) / NORMAL_MAD) ** 2
     more = max(more, 1.0)
     own, shared = factor * prediction.own, prediction.shared + offset**2
     # What means scatter more is shared by neighbours, as the noise of a row is.
@@ -188,10 +188,10 @@ def fitted_tables(part: PatchErrors, prediction: Prediction) -> Prediction:
         least = part.own[each] + part.shared[each]
         own = _trimmed_mean(part.variance[each] / least)
         unit = np.maximum(part.light[each], np.sqrt(least))
-        bias = _within(_median(part.error[each] / unit), _MOST_BIAS)
+        bias = _within(median(part.error[each] / unit), _MOST_BIAS)
         errors = np.square(part.error[each] - bias * unit) / least
         shared = max(_trimmed_mean(errors) - own / part.count[each].mean(), 0.0)
-        places.append(_median(part.brightness[middle]))
+        places.append(median(part.brightness[middle]))
         rows.append((bias, own, shared))
     at = np.arange(prediction.mean.size)
     bias, own, shared = (np.interp(at, places, column) for column in zip(*rows, strict=True))

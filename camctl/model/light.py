@@ -247,6 +247,7 @@ class LightTables:
             first = bins[chosen]
             here = [each[chosen] for each in values]
             light, error, meets = self._scores.of(here, first)
+            meets = meets & (light <= self._brightest)  # levels that coincide have no slope
             kept = chosen[meets]
             E[kept] = light[meets]
             deviation[kept] = np.hypot(error, self._pattern.take(first))[meets]

@@ -99,7 +99,7 @@ def _joined(
     samples = [row.take(each) for row, each in zip(tables.irradiance, values, strict=True)]
     for _ in range(_ROUNDS):
         bins = tables.bins(light)
-        above, weights, own, shared = (np.zeros(light.size, np.float32) for _ in range(4))
+        above, weights, own, shared, least = (np.zeros(light.size, np.float32) for _ in range(5))
         for place in order:
             sample, exposure = samples[place], np.float32(exposures[place])
             noise = np.square(tables.spreads[place].take(bins)) + np.float32(_LEAST_VARIANCE)
@@ -114,7 +114,11 @@ def _joined(
             spread = np.sqrt(known + noise + np.square(error))
             darker = (sample < mean - reach * spread) & (mean > full / exposure / 4)
             darker |= hidden[place] & (sample < mean - spread)
-            counts &= ~(lost | darker)
+            # What may be saturated says how much light there is at least, and so do longer ones.
+            reached = reach * np.sqrt(noise + np.square(error))
+            counts &= ~(lost | darker | (sample + reached < least))
+            dim = saturated[place] | hidden[place]
+            least = np.where(dim, np.maximum(least, sample - reached), least)
             weight = counts / (noise + np.square(error))
             above += weight * sample
             own += np.square(weight) * noise

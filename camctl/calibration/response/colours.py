@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.response.series import Neighbours, Series
+from camctl.evidence.patch_errors import median
 from camctl.model.response.camera import FloatArray
 
 #: Levels of a cell, of 256, fewest patches in one, and most of a pair of frames that are compared.
@@ -100,14 +101,12 @@ class PatchRatios:
         shared = np.hypot(*(block * slope[np.rint(each).astype(np.intp)] for each in level))
         cell = (level[1] / (self.unit * _CELL)).astype(np.intp)
         means, errors = [], []
-        for place in np.unique(cell):
+        for place in np.flatnonzero(np.bincount(cell) >= _FEWEST).tolist():
             use = cell == place
-            count = int(np.count_nonzero(use))
-            if count < _FEWEST:
-                continue
-            mean = float(np.median(logs[use]))
-            scatter = 1.48 * float(np.median(np.abs(logs[use] - mean)))
-            error = math.hypot(1.25 * scatter / math.sqrt(count), float(np.median(shared[use])))
+            here = logs[use]
+            mean = median(here)
+            scatter = 1.48 * median(np.abs(here - mean))
+            error = math.hypot(1.25 * scatter / math.sqrt(here.size), median(shared[use]))
             means.append(mean)
             errors.append(math.hypot(error, _SHARED))
         return means, errors
