@@ -18,7 +18,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.sim.photon_counts import (
+    CELL_SHIFT,
+    DOUBT,
+    DOUBTED_NOISE,
+    EXPANSION,
+    EXPONENTIAL,
+    FIRST_PLACE,
+    LARGEST_CHECKED,
+    LEAST_EXPANDED,
+    MOST_COUNTED,
+    PART_BITS,
+    PART_SHIFT,
+    STEPS,
+    tables,
+)
+
 Light = NDArray[np.float32]
+Counts = NDArray[np.float64]
 
 SAMPLES_WORTH_LOADING = 1 << 27
 """Samples that a camera renders before the compiled functions are loaded on their own: without
@@ -65,6 +82,107 @@ def _add_noise(
                 part[i] += z[i]
 
 
+_CELL, _FIRST, _PART = np.uint64(CELL_SHIFT), np.uint64(FIRST_PLACE), np.uint64(PART_SHIFT)
+_PART_MASK, _PART_UNIT = np.uint64((1 << PART_BITS) - 1), 2.0**-PART_BITS
+
+
+def _add_uniform(state: NDArray[np.uint64], unit: float, first: float, out: Counts) -> None:
+    """Set each of `out` (a multiple of 4) to ``(out + bits + first) unit``, with 16 bits of SFC64.
+
+    The state is left as it then is.
+    """
+    a, b, c, counter = state[0], state[1], state[2], state[3]
+    for i in range(0, out.size, 4):
+        word = a + b + counter
+        counter += _ONE
+        a = b ^ (b >> _11)
+        b = c + (c << _3)
+        c = ((c << _24) | (c >> _40)) + word
+        out[i] = (out[i] + np.float64(np.int32(word & _LOW)) + first) * unit
+        out[i + 1] = (out[i + 1] + np.float64(np.int32((word >> _16) & _LOW)) + first) * unit
+        out[i + 2] = (out[i + 2] + np.float64(np.int32((word >> _32) & _LOW)) + first) * unit
+        out[i + 3] = (out[i + 3] + np.float64(np.int32(word >> _48)) + first) * unit
+    state[0], state[1], state[2], state[3] = a, b, c, counter
+
+
+def _expand(uniform: Counts, normal: Counts, means: Light, left: NDArray[np.int64]) -> int:
+    """Replace means by their Poisson quantiles where the expansion gives them.
+
+    The expansion is the one of `camctl.sim.photon_counts.poisson_quantiles`.
+
+    Returns:
+        how many are not replaced; their places are the first of `left`
+    """
+    third, sixth, p, q, r, s, t = EXPANSION
+    count = means.size
+    tail, w, value = np.empty(count), np.empty(count), np.empty(count)
+    for i in range(count):
+        tail[i] = min(uniform[i], 1.0 - uniform[i])
+    bits = tail.view(np.uint64)
+    for i in range(count):
+        place = (bits[i] >> _CELL) - _FIRST
+        part = np.float64(np.int32((bits[i] >> _PART) & _PART_MASK)) * _PART_UNIT
+        z = normal[place] + part * (normal[place + _ONE] - normal[place])
+        w[i] = z if uniform[i] > 0.5 else -z
+    for i in range(count):
+        mean = max(np.float64(means[i]), 1.0)  # lower ones are left
+        root = np.sqrt(mean)
+        over = 1.0 / root
+        square = w[i] * w[i]
+        v = mean + w[i] * root + (third + square * sixth)
+        v -= w[i] * (p + square * q) * over
+        value[i] = v + (r + square * (s + square * t)) * over * over
+    found = 0
+    for i in range(count):
+        whole = max(math.floor(value[i]), 0.0)
+        if means[i] < LARGEST_CHECKED:
+            off = value[i] - whole
+            is_sure = DOUBT <= off <= 1.0 - DOUBT and abs(w[i]) <= DOUBTED_NOISE
+            if means[i] < LEAST_EXPANDED or not is_sure:
+                left[found] = i
+                found += 1
+                continue
+        means[i] = whole
+    return found
+
+
+def _add_up(
+    uniform: Counts, exponentials: Counts, inverses: Counts, means: Light, left: NDArray[np.int64]
+) -> None:
+    """Replace the means at the places `left` by their Poisson quantiles: probabilities added up.
+
+    All take the same number of steps, which vector instructions do, and few go on alone.
+    """
+    count = left.size
+    mean, u, number = np.empty(count), np.empty(count), np.zeros(count)
+    term, total, highest = np.empty(count), np.empty(count), 0.0
+    for j in range(count):
+        mean[j], u[j] = means[left[j]], uniform[left[j]]
+        highest = max(highest, mean[j])
+    for j in range(count):
+        step = math.floor(mean[j] * STEPS + 0.5)
+        rest = mean[j] - step * (1.0 / STEPS)
+        power = EXPONENTIAL[7]
+        for k in range(6, -1, -1):
+            power = power * rest + EXPONENTIAL[k]
+        term[j] = power * exponentials[np.uint64(step)]
+        total[j] = term[j]
+    together = min(int(highest + 2 * math.sqrt(highest)) + 1, MOST_COUNTED - 1)
+    for k in range(together):
+        inverse = inverses[k]
+        for j in range(count):
+            number[j] += 1.0 if u[j] > total[j] else 0.0
+            term[j] *= mean[j] * inverse
+            total[j] += term[j]
+    for j in range(count):
+        k = together
+        while k < MOST_COUNTED - 1 and u[j] > total[j]:
+            term[j] *= mean[j] * inverses[k]
+            total[j] += term[j]
+            k += 1
+        means[left[j]] = number[j] + (k - together)
+
+
 def _quantise(
     values: Light, scale: np.float32, offset: np.float32, top: np.float32, out: NDArray[Any]
 ) -> None:
@@ -85,6 +203,9 @@ class Kernels:
     """The compiled functions; all release the lock of Python."""
 
     add_noise: Callable[[NDArray[np.uint64], Light, Light, bool], None]
+    add_uniform: Callable[[NDArray[np.uint64], float, float, Counts], None]
+    expand: Callable[[Counts, Counts, Light, NDArray[np.int64]], int]
+    add_up: Callable[[Counts, Counts, Counts, Light, NDArray[np.int64]], None]
     add_bow: Callable[[Light, np.float32, np.float32], None]
     quantise: Callable[[Light, np.float32, np.float32, np.float32, NDArray[Any]], None]
 
@@ -101,19 +222,24 @@ def load() -> Kernels | None:
     except ImportError:
         return None
 
-    def compiled(function: Callable[..., None]) -> Callable[..., None]:
+    def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
         options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
         try:
-            made: Callable[..., None] = numba.njit(cache=True, **options)(function)
+            made: Callable[..., Any] = numba.njit(cache=True, **options)(function)
         except RuntimeError:  # no folder for the machine code can be written
             made = numba.njit(**options)(function)
         return made
 
-    functions = (_add_noise, _add_bow, _quantise)
+    functions = (_add_noise, _add_uniform, _expand, _add_up, _add_bow, _quantise)
     kernels = Kernels(*(compiled(function) for function in functions))
     light, table = np.ones(1, np.float32), np.ones(1 << 16, np.float32)
     table.setflags(write=False)
     kernels.add_noise(np.ones(4, np.uint64), table, light, False)
+    kernels.add_uniform(np.ones(4, np.uint64), 1.0, 0.5, np.zeros(4))
+    normal, exponentials, inverses = tables()
+    uniform, left = np.full(1, 0.5), np.zeros(1, np.int64)
+    kernels.expand(uniform, normal, light, left)
+    kernels.add_up(uniform, exponentials, inverses, light, left)
     kernels.add_bow(light, _TWO, _ZERO)
     for dtype in (np.uint8, np.uint16):
         kernels.quantise(light, _TWO, _ZERO, _TWO, np.empty(1, dtype))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.sim.compiled import Kernels
-from camctl.sim.photon_counts import poisson_quantiles
+from camctl.sim.photon_counts import poisson_quantiles, tables
 
 TILE = 1 << 18
 """Samples in a tile; the frame of a seed depends on it.
@@ -25,6 +25,7 @@ TILE = 1 << 18
 Small enough for the caches, and large enough for two threads, which wait for each other at every
 step (measured: 1.7 times the speed of one thread, 1.25 times with tiles of 1 << 16)."""
 
+_COUNTED = 1 << 12  # photon counts that are made at a time, in the cache; a multiple of 4
 _TABLE_BITS = 16  # random bits that choose a normal quantile
 
 
@@ -200,6 +201,20 @@ class TileNoise:
         The first 16 of the 32 bits of each are the bits of `add_photon_noise`.
         """
         count = electrons.size
+        if self.kernels is not None:
+            coarse = _state(seed, frame, Stream.PHOTON, tile)
+            fine = _state(seed, frame, Stream.PHOTON_FINE, tile)
+            normal, exponentials, inverses = tables()
+            left = np.empty(_COUNTED, np.int64)
+            for start in range(0, count, _COUNTED):
+                means = electrons[start : start + _COUNTED]
+                uniform = np.zeros(-4 * (-means.size // 4))  # four to a word of random bits
+                self.kernels.add_uniform(coarse, 65536.0, 0.0, uniform)
+                self.kernels.add_uniform(fine, 2.0**-32, 0.5, uniform)
+                found = self.kernels.expand(uniform, normal, means, left)
+                if found:
+                    self.kernels.add_up(uniform, exponentials, inverses, means, left[:found])
+            return
         uniform = tile_bits(seed, frame, Stream.PHOTON, tile, count).astype(np.float64)
         uniform *= 65536.0
         uniform += tile_bits(seed, frame, Stream.PHOTON_FINE, tile, count)

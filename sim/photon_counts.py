@@ -2,10 +2,14 @@
 
 Each number is a function of its mean and of one uniform number, and never decreases with the mean:
 another mean changes it no more than `camctl.sim.effects.bounds` says.
+
+`camctl.sim.compiled` does the same arithmetic in the same order, with the same tables, and gives
+the same bits; for that reason `exp` of a library, which differs from one to another, is not used.
 """
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from statistics import NormalDist
 
@@ -25,40 +29,49 @@ COUNT_ERROR_E = 7.0
 noise, highest minus lowest difference over all means for one z (`tests/sim/test_photon_counts.py`
 measures 6.9)."""
 
-_LEAST_EXPANDED = 8.0  # mean from which the expansion in the normal quantile is used
+LEAST_EXPANDED = 8.0  # mean, e-, from which the expansion in the normal quantile is used
+LARGEST_CHECKED = 24.0  # mean, e-, up to which what the expansion leaves in doubt is added up
+DOUBT = 0.03  # distance from a whole number within which the expansion may be off by one
+DOUBTED_NOISE = 3.0  # abs(w) from which it may be off by more than that
+MOST_COUNTED = 128  # a mean of 24 exceeds it with a probability of 1e-48
+CELL_SHIFT = 44  # bits of a float64 below the 8 highest of its 52 bits of mantissa
+PART_SHIFT, PART_BITS = 20, 24  # of those 44, the highest 24: the rest of 32 random bits is zero
+FIRST_PLACE = (1023 - 33) << (52 - CELL_SHIFT)  # cell of 2^-33, the middle of the first of 2^32
+STEPS = 16  # a table of the exponential function has this number of entries for each 1
+EXPONENTIAL = tuple((-1) ** k / math.factorial(k) for k in range(8))  # within 1e-16 up to 1 / 32
+EXPANSION = (1 / 3, 1 / 6, 1 / 36, 1 / 72, -8 / 405, 7 / 810, 1 / 270)  # Giles, see below
 _BLOCK = 1 << 13  # samples at a time, so that the working arrays stay in the cache
-_LARGEST_CHECKED = 24.0  # mean up to which what the expansion leaves in doubt is added up
-_DOUBT = 0.03  # distance from a whole number within which the expansion may be off by one
-_DOUBTED_NOISE = 3.0  # abs(w) from which it may be off by more than that
-_MOST_COUNTED = 128  # a mean of 24 exceeds it with a probability of 1e-48
-_CELLS = 1 << 16  # of the quantile: one for each 16 random bits
 
 
 @lru_cache(maxsize=1)
-def _cell_edges() -> NDArray[np.float64]:
-    """Return (65537,) normal quantiles at multiples of 2^-16; the ends are not used."""
+def tables() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return normal quantiles, ``exp(-k / 16)`` up to 24, and ``1 / k``.
+
+    The quantiles, (8194,) and not negative, are exceeded with the probabilities p from 2^-33 to
+    1/2, 256 of equal distance in each [2^-j, 2^-j+1): the place of p is the high bits of its
+    float64.  The last is there twice, for the interpolation at 1/2.
+    """
     inverse = NormalDist().inv_cdf
-    upper = [inverse(0.5 + i / _CELLS) for i in range(_CELLS // 2)]
-    upper.append(LARGEST_COUNT_NOISE)
-    edges = np.array(upper)
-    return np.concatenate((-edges[:0:-1], edges))
+    exceeded = [math.ldexp(1 + k / 256, -j) for j in range(33, 1, -1) for k in range(256)]
+    found = (
+        np.array([-inverse(p) for p in exceeded] + [0.0, 0.0]),
+        np.exp(-np.arange(LARGEST_CHECKED * STEPS + 1) / STEPS),
+        1 / np.arange(1, MOST_COUNTED + 1),
+    )
+    for table in found:
+        table.setflags(write=False)
+    return found
 
 
 def normal_of(uniform: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return standard normal quantiles: linear between multiples of 2^-16, exact in the tails.
-
-    In the first 16 cells at either end, where a straight line is not near enough, each quantile is
-    computed.
-    """
-    edges = _cell_edges()
-    place = uniform * _CELLS
-    cell = place.astype(np.intp)
-    low = edges.take(cell)
-    z = low + (place - cell) * (edges.take(cell + 1) - low)
-    inverse = NormalDist().inv_cdf
-    for index in np.flatnonzero((cell < 16) | (cell >= _CELLS - 16)):
-        z[index] = inverse(uniform[index])
-    return np.asarray(z)
+    """Return standard normal quantiles (`tables`), linear in between, for multiples of 2^-33."""
+    quantiles = tables()[0]
+    bits = np.minimum(uniform, 1 - uniform).view(np.int64)
+    place = (bits >> CELL_SHIFT) - FIRST_PLACE
+    part = ((bits >> PART_SHIFT) & ((1 << PART_BITS) - 1)) * 2.0**-PART_BITS
+    low = quantiles.take(place)
+    z = low + part * (quantiles.take(place + 1) - low)
+    return np.where(uniform > 0.5, z, -z)
 
 
 def poisson_quantiles(
@@ -80,7 +93,7 @@ def poisson_quantiles(
     for start in range(0, means.size, _BLOCK):
         here = slice(start, start + _BLOCK)
         mean, u, count = means[here].astype(np.float64), uniform[here], counts[here]
-        few = mean < _LEAST_EXPANDED
+        few = mean < LEAST_EXPANDED
         if few.all():
             count[...] = _summed(mean, u)
         elif not few.any():
@@ -93,31 +106,38 @@ def poisson_quantiles(
 
 def _summed(mean: NDArray[np.float64], uniform: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return how many of the probabilities of 0, 1, 2, ... electrons add up to less."""
-    term = np.exp(-mean)
+    _, exponentials, inverses = tables()
+    step = np.floor(mean * STEPS + 0.5)
+    rest = mean - step * (1 / STEPS)
+    term = np.full_like(mean, EXPONENTIAL[-1])
+    for factor in EXPONENTIAL[-2::-1]:
+        term = term * rest + factor
+    term *= exponentials.take(step.astype(np.intp))
     total = term.copy()
     count = np.zeros_like(mean)
-    for k in range(1, _MOST_COUNTED):
+    for k in range(1, MOST_COUNTED):
         is_beyond = uniform > total
         if not is_beyond.any():
             break
         count += is_beyond
-        term *= mean
-        term /= k
+        term *= mean * inverses[k - 1]
         total += term
     return count
 
 
 def _expanded(mean: NDArray[np.float64], uniform: NDArray[np.float64]) -> NDArray[np.float64]:
+    third, sixth, p, q, r, s, t = EXPANSION
     w = normal_of(uniform)
     root = np.sqrt(mean)
+    over = 1 / root
     square = w * w
-    value = mean + w * root + (1 / 3 + square / 6)
-    value -= w * (1 / 36 + square / 72) / root
-    value += (-8 / 405 + square * (7 / 810 + square / 270)) / mean
+    value = mean + w * root + (third + square * sixth)
+    value -= w * (p + square * q) * over
+    value += (r + square * (s + square * t)) * over * over
     count = np.maximum(np.floor(value), 0.0)
-    is_checked = mean < _LARGEST_CHECKED
+    is_checked = mean < LARGEST_CHECKED
     if is_checked.any():
         off = value - count
-        is_checked &= (off < _DOUBT) | (off > 1 - _DOUBT) | (square > _DOUBTED_NOISE**2)
+        is_checked &= (off < DOUBT) | (off > 1 - DOUBT) | (square > DOUBTED_NOISE**2)
         count[is_checked] = _summed(mean[is_checked], uniform[is_checked])
     return np.asarray(count)

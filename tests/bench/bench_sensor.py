@@ -1,10 +1,11 @@
 """Speed of photon noise, read noise, full well and ADC: camctl, compiled, numpy alone, and Pyxel.
 
 Run by hand: ``python tests/bench/bench_sensor.py [--pyxel PYTHON] [--json]``, where PYTHON is an
-interpreter that has pyxel-sim.  "compiled" is `sim` with the extra `fast`; its rival is `sim` with
-numpy alone, which gives the same frame, with as many threads.  The methods take turns, and medians
-of the CPU seconds of all threads are printed: Pyxel uses one thread, so that elapsed times would
-compare unequal work.
+interpreter that has pyxel-sim.  With ``--read-noise 1.5`` photons are counted; ``--peak`` is the
+mean charge of the brightest sample.  "compiled" is `sim` with the extra `fast`; its rival is `sim`
+with numpy alone, which gives the same frame, with as many threads.  The methods take turns,
+and medians of the CPU seconds of all threads are printed: Pyxel uses one thread, so that elapsed
+times would compare unequal work.
 """
 
 from __future__ import annotations
@@ -80,11 +81,23 @@ def pyxel(python: str | None, shape: tuple[int, int]) -> Iterator[Callable[[], f
         ask.close()
 
 
-def measure(shape: tuple[int, int], rounds: int, python: str | None) -> list[dict[str, Any]]:
+def measure(
+    shape: tuple[int, int],
+    rounds: int,
+    python: str | None,
+    read_noise_e: float | None,
+    peak_e: float | None,
+) -> list[dict[str, Any]]:
     """Return a row for each method at one size."""
     sensor = load_sensor("standard")
-    view = View.of(load_scene("ramp", shape), sensor)
-    light = view.light
+    if read_noise_e is not None:
+        sensor = sensor.model_copy(update={"read_noise_e": read_noise_e})
+    light = View.of(load_scene("ramp", shape), sensor).light
+    if peak_e is not None:
+        light = light * np.float32(
+            peak_e / (float(light.max()) * sensor.quantum_efficiency * TIME_S)
+        )
+    view = View(light)
     renderers = {n: Renderer(view, sensor, threads=n, compiled=False) for n in (1, 2)}
     compiled = {n: Renderer(view, sensor, threads=n, compiled=True) for n in (1, 2)}
     has_numba = load() is not None
@@ -146,11 +159,19 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--sizes", default="2048x2048,6000x4000")
     parser.add_argument("--pyxel", metavar="PYTHON")
+    parser.add_argument("--read-noise", type=float, metavar="ELECTRONS")
+    parser.add_argument("--peak", type=float, metavar="ELECTRONS")
     arguments = parser.parse_args()
     rows = []
     for size in arguments.sizes.split(","):
         width, height = (int(part) for part in size.split("x"))
-        rows += measure((height, width), arguments.rounds, arguments.pyxel)
+        rows += measure(
+            (height, width),
+            arguments.rounds,
+            arguments.pyxel,
+            arguments.read_noise,
+            arguments.peak,
+        )
     if arguments.json:
         print(json.dumps({"rows": rows}))
         return

@@ -62,6 +62,18 @@ def test_photon_noise_is_the_same_for_every_mean() -> None:
     assert np.array_equal(drawn[0], drawn[1])
 
 
+@pytest.mark.parametrize("size", [1, 4099, TILE])
+def test_photon_counts_are_the_same_for_every_mean(size: int) -> None:
+    pytest.importorskip("numba")
+    means = np.concatenate([[0.0], np.geomspace(1e-45, 1e7, 4098), np.geomspace(1e-3, 40, TILE)])
+    drawn: list[NDArray[np.uint32]] = []
+    for noise in (TileNoise(), TileNoise(load())):
+        electrons = means[:: -(-means.size // size)].astype(np.float32)
+        noise.count_photons(electrons, 5, 6, 7)
+        drawn.append(electrons.view(np.uint32))
+    assert np.array_equal(drawn[0], drawn[1])
+
+
 def test_the_functions_are_loaded_after_many_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     loaded: list[str] = []
     monkeypatch.setattr("camctl.sim.compiled.load", lambda: loaded.append("yes"))
@@ -101,4 +113,4 @@ def test_without_a_folder_for_machine_code_it_is_made_anew(monkeypatch: pytest.M
     monkeypatch.setattr(numba, "njit", njit)
     with np.errstate(over="ignore"):
         assert load.__wrapped__() is not None
-    assert asked == [True, False] * 3
+    assert asked == [True, False] * 6
