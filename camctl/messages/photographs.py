@@ -131,7 +131,10 @@ _WHY_UNKNOWN: Final = {
         "three photographs do not show which while the response is estimated from them: add some, "
         "or give the response"
     ),
-    "tie": "the photographs do not show which of the two is wrong",
+    "tie": (
+        "the photographs do not show which of the two is wrong: the picture takes their ratio from "
+        "the pixels"
+    ),
 }
 """Why the photographs do not show which exposure is wrong, by the detail `why`."""
 

@@ -34,6 +34,7 @@ _SUSPECT = 1.15
 _AGREE_WITHOUT, _AGREE_WITH = 3, 2
 #: Labels are swapped, and several photographs differ alike, up to this error of a logarithm.
 _ALIKE = 0.15
+_TIE = "tie"
 SAME_EXPOSURE = 1.05
 """Exposures that differ by less than this factor have no order."""
 
@@ -44,11 +45,14 @@ class LabelErrors:
 
     Attributes:
         factors: by position, what the pixels say over what is stated, where it is wrong
+        unclear: of all photographs, where so many contradict each other that none is proved wrong:
+            beside the darkest, and as stated where the pixels do not show it
         notes: findings of what is wrong
         facts: findings of what cannot be checked
     """
 
     factors: dict[int, float] = field(default_factory=dict)
+    unclear: dict[int, float] = field(default_factory=dict)
     notes: list[Finding] = field(default_factory=list)
     facts: list[Finding] = field(default_factory=list)
 
@@ -124,7 +128,9 @@ def wrong_labels(
     runs = exposure_runs(photographs, patches, scale)
     if alone := tuple(sorted(run.members[0] for run in runs if len(run.members) == 1)):
         found.facts.append(Finding(code="label_unchecked", frames=alone))
-    for run in runs:
+    carried = 0.0
+    for run in runs:  # from dark to bright
+        found.unclear.update(dict.fromkeys(run.members, math.exp(carried)))
         errors = steady_errors(run.jumps, [max(STEADY * limit, each) for each in run.tolerances])
         wrong = np.flatnonzero(np.abs(errors) > limit).tolist()
         agree = len(run.members) - len(wrong)
@@ -143,6 +149,10 @@ def wrong_labels(
         if agree < least_agree or agree <= len(wrong):
             why = _why_unknown(len(members), len(photographs), is_known=is_known)
             contradicting = _contradicting(members, run.jumps, limit, why)
+            if why == _TIE:
+                beside = errors - errors[0] + carried
+                found.unclear.update(zip(run.members, np.exp(beside).tolist(), strict=True))
+                carried = float(beside[-1])
         else:
             found.factors.update({run.members[k]: math.exp(errors[k]) for k in wrong})
             contradicting = _named(members, errors, wrong, is_exact=is_exact)
@@ -221,7 +231,7 @@ def _why_unknown(members: int, photographs: int, *, is_known: bool) -> str:
     """Return why so many members of a run do not show which of their exposures is wrong."""
     if members == 2:
         return "two" if photographs == 2 else "apart"
-    return "response" if members <= _AGREE_WITHOUT and not is_known else "tie"
+    return "response" if members <= _AGREE_WITHOUT and not is_known else _TIE
 
 
 def _contradicting(

@@ -275,11 +275,9 @@ def _with_exposures(
     places = list(range(len(photographs)))
     if is_exact:  # what is named must not falsify the picture
         places = [k for k in places if k not in wrong.factors]
-        return [photographs[k] for k in places], places
-    factors = wrong.factors
+    factors = wrong.unclear if is_exact else wrong.unclear | wrong.factors
     return [
-        replace(each, time_s=each.time_s * factors.get(k, 1.0))
-        for k, each in enumerate(photographs)
+        replace(photographs[k], time_s=photographs[k].time_s * factors.get(k, 1.0)) for k in places
     ], places
 
 

@@ -151,6 +151,21 @@ def test_three_photographs_without_a_response_do_not_show_which_label_is_wrong(
     assert all(each.remedies == {"curve": None} for each in found.notes)
 
 
+@pytest.mark.parametrize("labels", ["exact", "auto"])
+def test_where_most_exposures_contradict_the_pixels_decide(opened: Opened, labels: str) -> None:
+    """As where a camera was asked for longer times than it has, and did not say so."""
+    times = tuple(0.001 * 2.0**k for k in range(8))
+    shown = (*times[:3], *(times[2] * factor for factor in (1.08, 1.02, 1.12, 1.05, 1.15)))
+    found = opened(
+        shown, labels=[Fraction(2**k, 1024) for k in range(8)], options={"labels": labels}
+    )
+    assert set(codes(found.notes)) == {"labels_contradict"}
+    assert {each.details["why"] for each in found.notes} == {"tie"}
+    assert found.positions == tuple(range(8))
+    used = np.array([each.time_s for each in found.camera.photographs])
+    assert np.ptp(np.log(used / np.array(shown))) < 0.1
+
+
 def test_a_response_that_is_assumed_makes_no_exposure_wrong(opened: Opened) -> None:
     times = (TIMES[0], TIMES[2], TIMES[4])
 
