@@ -243,6 +243,8 @@ class SimulationStudy:
         ]
         found: dict[_Choice, list[tuple[float, SimulationPoint]]] = {}
         for points, whole in zip(self.points, complete, strict=True):
+            if not whole:  # shorter than a step of the clock
+                continue
             for point in points:
                 share = point.milliseconds / whole
                 found.setdefault((point.method, point.tolerance_dn), []).append((share, point))

@@ -103,7 +103,7 @@ def case(name: str, option: click.Parameter) -> str:
     return f"{name} {option.opts[-1]}"
 
 
-RUN = [each for each in CASES if each[0] not in ENDLESS]
+RUN = [each for each in CASES if case(*each) not in ENDLESS]
 IN_FULL = [each for each in RUN if each in DIFFERENT.values() or case(*each) in RUN_BY_DEFAULT]
 SHARED = [each for each in RUN if each not in IN_FULL]
 SOME = 8

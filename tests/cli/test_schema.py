@@ -141,4 +141,4 @@ def test_the_command_prints_them(run: Run) -> None:
         shown = run("schema", *name.split()).json
         assert shown["title"] == f"camctl {name} --json"
         jsonschema.Draft202012Validator.check_schema(shown)
-    assert "did you mean solve?" in run("schema", "solv").error
+    assert "did you mean doctor?" in run("schema", "doctr").error

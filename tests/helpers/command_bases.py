@@ -15,7 +15,7 @@ BASES = {
         "-O size=9x7 --base 0.01",
     ),
     "series": ("--scene uniform -O size=9x7 --base 0.01 -n 1 --repeat 1",),
-    "live": ("--scene uniform -O size=9x7 --base 0.01 -n 1 --count 1 --output http:127.0.0.1:0",),
+    "live": ("--scene uniform -O size=9x7 --base 0.01 -n 1 --count 1 --output exr:live",),
     "preview": ("--scene uniform -O size=16x12 -n 1 -o p.png --force",),
     "resume": ("nothing",),
     "merge": ("p0.png p1.png p2.png --times 1/8,1/2,2 --curve power:2.222 -o out --force",),
@@ -88,5 +88,5 @@ def write_photographs(folder: Path) -> None:
         assert cv2.imwrite(str(folder / f"p{k}.png"), brightness.astype(np.uint8))
 
 
-ENDLESS = {"live"}
-"""Commands that run until they are ended: other values of their options are parsed only."""
+ENDLESS = {"live --count"}
+"""Options whose large values mean what they say: the command runs on, so they are only parsed."""

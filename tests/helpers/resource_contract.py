@@ -123,9 +123,9 @@ def options_of(command: str) -> Iterator[tuple[str, str, list[str]]]:
 def lines() -> Iterator[tuple[str, list[str]]]:
     """Yield "command --option" and the arguments of each command line."""
     for command, bases in BASES.items():
-        if command in ENDLESS:
-            continue
         for place, (name, prefix, values) in enumerate(options_of(command)):
+            if f"{command} {name}" in ENDLESS:
+                continue
             base = bases[place % len(bases)].split()
             for value in values:
                 yield (
