@@ -1,4 +1,4 @@
-"""Endless streams of frames: a camera that repeats a list of exposures until it is told to stop.
+"""Endless streams of frames: a camera that repeats a list of exposures until it is stopped.
 
 Any n consecutive frames of a list of n settings hold each of them once, so that each new frame
 completes a picture: see `camctl.live`.

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -159,7 +159,6 @@ class LightTables:
         of_sum: (B,) that of the light that the sum of the frames shows
         exposures: (n,) of the frames, relative to the shortest
         spreads: (n, B) float32, standard deviation of a sample of each frame, as irradiance
-        steps: (n, B) float32, step of its quantiser, likewise
         clipped: (n, B) whether noise clips a sample at the lowest value
     """
 
@@ -191,8 +190,6 @@ class LightTables:
         lost = found.saturated & (found.share == 0) if is_compressed else found.saturated
         self._saturating = np.argmax(lost, axis=1)
         self.spreads: Floats32 = found.spread.astype(np.float32)
-        steps = sensor.step(exposures[:, np.newaxis] * self.lights) / exposures[:, np.newaxis]
-        self.steps: Floats32 = steps.astype(np.float32)
         self.clipped = found.clipped
         lost = np.where(found.clipped, found.share, 0.0).sum(axis=0) > _NOTABLE
         undithered = (found.share > _DECISIVE) & (found.steps < _DITHERED)
@@ -208,6 +205,12 @@ class LightTables:
                 self._scores = StepScores(frames, sensor, lights)
         self._pattern = found.pattern.astype(np.float32)
         self._first = self.bins(light_of_sums(frames, sensor).astype(np.float32))
+
+    @cached_property
+    def steps(self) -> Floats32:
+        """(n, B), step of the quantiser of each frame, as irradiance; most pictures need none."""
+        exposures = self.exposures[:, np.newaxis]
+        return np.asarray(self.sensor.step(exposures * self.lights) / exposures, np.float32)
 
     def _bin_number(self, light: np.float32) -> int:
         return int(np.float32(light).view(np.uint32)) >> _DROPPED

@@ -277,7 +277,7 @@ def _with_exposures(
         places = [k for k in places if k not in wrong.factors]
     factors = wrong.unclear if is_exact else wrong.unclear | wrong.factors
     return [
-        replace(photographs[k], time_s=photographs[k].time_s * factors.get(k, 1.0)) for k in places
+        replace(photographs[k], time_s=photographs[k].time_s * factors[k]) for k in places
     ], places
 
 

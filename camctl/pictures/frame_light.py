@@ -160,17 +160,21 @@ class FrameLight:
             views = [part.view(each) for each in (*frames, total, irradiance, deviation)]
             for rows in _blocks(views[0].shape):
                 *values, sums, light, error = (each[rows] for each in views)
-                if self.white < np.iinfo(values[0].dtype).max:
-                    white = values[0].dtype.type(self.white)
-                    values = [np.minimum(each, white) for each in values]
-                found = estimator.estimate([np.ravel(each) for each in values], np.ravel(sums))
+                clipped = [np.ravel(each) for each in self._clipped(values)]
+                found = estimator.estimate(clipped, np.ravel(sums))
                 light[...], error[...] = (each.reshape(light.shape) for each in found)
         if self.chroma:
-            clipped = [np.minimum(each, self.white) for each in frames]
-            share_chroma_errors(clipped, self.chroma, irradiance, deviation)
+            share_chroma_errors(self._clipped(frames), self.chroma, irradiance, deviation)
         irradiance *= np.float32(1 / self.unit)
         deviation *= np.float32(1 / self.unit)
         return irradiance, deviation
+
+    def _clipped(self, frames: Sequence[NDArray[Any]]) -> Sequence[NDArray[Any]]:
+        """Return frames clipped at white, or as they are where no sample can be above it."""
+        dtype = frames[0].dtype
+        if self.white >= np.iinfo(dtype).max:
+            return frames
+        return [np.minimum(each, dtype.type(self.white)) for each in frames]
 
     @property
     def deviations(self) -> tuple[float, float]:

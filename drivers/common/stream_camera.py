@@ -1,4 +1,4 @@
-"""What cameras have in common whose frames an `ExposurePipeline` takes from a stream."""
+"""What cameras that stream have in common."""
 
 from __future__ import annotations
 
@@ -21,13 +21,8 @@ from camctl.streaming import (
 DataT = TypeVar("DataT")
 
 
-class StreamCamera(CameraBase, Generic[DataT]):
-    """A `PreviewingCamera` and a `CyclingCamera`: `_open` starts a stream and sets `_pipeline`.
-
-    `DataT` is what its stream delivers as a frame.
-    """
-
-    _pipeline: ExposurePipeline[DataT]
+class PreviewedCamera(CameraBase):
+    """A `PreviewingCamera` whose frame for metering is a sequence of one."""
 
     def preview(self, setting: ExposureSetting) -> Frame:
         """Return one frame at `setting`, for metering; raises as `shoot` does."""
@@ -36,6 +31,15 @@ class StreamCamera(CameraBase, Generic[DataT]):
             return next(frames)
         finally:
             frames.close()
+
+
+class StreamCamera(PreviewedCamera, Generic[DataT]):
+    """A `PreviewingCamera` and a `CyclingCamera`: `_open` starts a stream and sets `_pipeline`.
+
+    An `ExposurePipeline` takes the frames; `DataT` is what the stream delivers as one.
+    """
+
+    _pipeline: ExposurePipeline[DataT]
 
     def cycle(self, settings: Sequence[ExposureSetting]) -> FrameCycle:
         """Return frames without end; see `camctl.interface.cycle.CyclingCamera`."""

@@ -15,7 +15,7 @@ from statistics import median
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, StringConstraints
+from pydantic import BeforeValidator, Field
 
 from camctl.drivers.common.gain_unit import GainUnit, parse_gain
 from camctl.drivers.common.stream_camera import StreamCamera
@@ -60,8 +60,6 @@ from camctl.streaming import (
     with_delay,
 )
 
-_Word = Annotated[str, StringConstraints(strip_whitespace=True, to_lower=True)]
-
 #: Buffers that are filled while no frame is taken, as many as of V4L2 cameras.
 _BUFFERS = 8
 #: Silence after which the camera counts as frozen, s, beyond an exposure.
@@ -102,7 +100,7 @@ class GenicamOptions(BackendOptions):
     """
 
     library: Annotated[Literal["auto", "aravis", "viva"], LowerCase] = "auto"
-    format: _Word = "auto"
+    format: Annotated[str, LowerCase] = "auto"
     trigger: Annotated[Literal["auto", "software", "off"], LowerCase] = "auto"
     fps: float | None = Field(default=None, gt=0, le=10_000, allow_inf_nan=False)
     bits: int | None = Field(default=None, ge=9, le=16)
@@ -112,7 +110,7 @@ class GenicamOptions(BackendOptions):
     gain: Annotated[GainUnit | None, BeforeValidator(parse_gain)] = None
     chunks: Annotated[Literal["auto", "off"], LowerCase] = "auto"
     sequencer: Annotated[Literal["on", "off"], LowerCase] = "off"
-    response: _Word = "linear"
+    response: Annotated[str, LowerCase] = "linear"
 
 
 class GenicamCamera(StreamCamera[Received]):

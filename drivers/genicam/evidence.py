@@ -23,7 +23,7 @@ _DARK = 3.0
 #: At least this share of the samples has to show something.
 _LEAST_SHARE = 0.02
 #: Mean difference of the light, stops, up to which an assumption fits; another one that is to be
-#: ruled out has `RULED_OUT` at least.  Steps of a third of a stop are told apart.
+#: ruled out has `RULED_OUT` at least.  Steps of a third of a stop are distinguished.
 FITS, RULED_OUT = 0.1, 0.25
 #: Light from which a sample may be white.
 _WHITE = 0.97

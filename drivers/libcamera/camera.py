@@ -11,12 +11,13 @@ from typing import Annotated, Any
 
 from pydantic import StringConstraints
 
+from camctl.drivers.common.stream_camera import PreviewedCamera
 from camctl.drivers.libcamera.formats import RawFormat
 from camctl.drivers.libcamera.probe import SAME_GAIN, Probed, probe
 from camctl.drivers.libcamera.requests import Arrived, Requests, Stated, stated
 from camctl.errors import CameraBusyError, CameraError, CameraNotFoundError, UsageError
 from camctl.interface.backends import BackendOptions, FrameShape
-from camctl.interface.camera import CameraBase, CameraInfo, Frame
+from camctl.interface.camera import CameraInfo, Frame
 from camctl.interface.clock import CaptureTiming, Clock, RealClock
 from camctl.interface.controls import (
     Choices,
@@ -56,7 +57,7 @@ class LibcameraOptions(BackendOptions):
     format: _Name = "auto"
 
 
-class LibcameraCamera(CameraBase):
+class LibcameraCamera(PreviewedCamera):
     """A camera of libcamera with raw frames; a `PreviewingCamera`.
 
     Each frame is the one whose metadata state the exposure that was requested.
@@ -83,14 +84,6 @@ class LibcameraCamera(CameraBase):
         self._options = options or LibcameraOptions()
         # Sensors are stamped since the system's start, which goes on while it sleeps.
         self._ahead_s = 0.0 if clock else time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic()
-
-    def preview(self, setting: ExposureSetting) -> Frame:
-        """Return one frame at `setting`, for metering; raises as `shoot` does."""
-        frames = self.shoot((setting,))
-        try:
-            return next(frames)
-        finally:
-            frames.close()
 
     def _open(self) -> None:
         with ExitStack() as resources:

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, StringConstraints
+from pydantic import BeforeValidator, Field
 
 from camctl.drivers.common.gain_unit import GainUnit, parse_gain
 from camctl.drivers.common.stream_camera import StreamCamera
@@ -37,9 +37,6 @@ from camctl.streaming import (
     mean_brightness,
 )
 
-_Word = Annotated[str, StringConstraints(strip_whitespace=True, to_lower=True)]
-
-
 #: Frames from a request until the first one whose exposure begins after the write, on average: the
 #: rest of the running one, and the next, since the write comes after the running one was grabbed.
 _LEAD_FRAMES = 1.5
@@ -62,14 +59,14 @@ class V4l2Options(BackendOptions):
             sRGB
     """
 
-    format: _Word = "auto"
+    format: Annotated[str, LowerCase] = "auto"
     size: FrameShape | None = None
     fps: float | None = Field(default=None, gt=0, le=10_000, allow_inf_nan=False)
     bits: int | None = Field(default=None, ge=9, le=16)
     black: int | None = Field(default=None, ge=0)
     gain: Annotated[GainUnit | None, BeforeValidator(parse_gain)] = None
     range: Annotated[Literal["auto", "full", "limited"], LowerCase] = "auto"
-    response: _Word = "auto"
+    response: Annotated[str, LowerCase] = "auto"
 
 
 class V4l2Camera(StreamCamera[Pixels]):

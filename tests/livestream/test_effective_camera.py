@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from still_scene import open_before, waves
 
 import camctl
 from camctl.errors import CamctlError
 from camctl.interface.camera import Camera
 from camctl.livestream.camera import EffectiveCamera, EffectiveOptions
 from camctl.sim.camera import SimulatedCamera
-from camctl.sim.scenes.scene import Scene
-from camctl.sim.sensors.sensor import load_sensor
 from camctl.testing.conformance import CameraConformance
 
 
@@ -26,14 +25,7 @@ class TestEffective(CameraConformance):
         return camera.controls.time_s.nearest(0.02)
 
     def open_camera(self) -> Camera:
-        model = load_sensor(self.sensor)
-        controls = model.controls((24, 32), is_coloured=True, photons_per_unit=1.0)
-        assert controls.sensitivity is not None
-        rows, columns = np.mgrid[0:24, 0:32]
-        light = 0.45 + 0.2 * np.sin(columns / 5.0) * np.cos(rows / 4.0)
-        light = np.repeat(light[..., None], 3, axis=2).astype(np.float32)
-        scene = Scene("steady", light, photons_per_unit=1 / (controls.sensitivity * 0.02 * 1.2))
-        self.simulated = SimulatedCamera(scene, model, seed=3)
+        self.simulated = open_before(waves(), self.sensor)
         options = EffectiveOptions(
             response=self.response,  # type: ignore[arg-type]
             range="medium",

@@ -6,15 +6,13 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
-import numpy as np
 import pytest
 from small_cameras import WrappedCamera
+from still_scene import gradient, open_before
 
 from camctl.interface.camera import Camera, Frame, FrameStream
 from camctl.interface.controls import ExposureSetting
 from camctl.sim.camera import SimulatedCamera
-from camctl.sim.scenes.scene import Scene
-from camctl.sim.sensors.sensor import Sensor, load_sensor
 from camctl.testing.conformance import CameraConformance
 
 
@@ -28,14 +26,7 @@ class Steady(CameraConformance):
         return camera.controls.time_s.nearest(0.02)
 
     def open_camera(self) -> Camera:
-        model = load_sensor(self.sensor)
-        model = Sensor.model_validate({**model.model_dump(), **self.changes})
-        controls = model.controls((24, 32), is_coloured=True, photons_per_unit=1.0)
-        assert controls.sensitivity is not None
-        light = np.linspace(0.2, 0.7, 24 * 32 * 3, dtype=np.float32).reshape(24, 32, 3)
-        # Full scale of the middle exposure is at irradiance 1.2.
-        scene = Scene("steady", light, photons_per_unit=1 / (controls.sensitivity * 0.02 * 1.2))
-        return SimulatedCamera(scene, model, seed=3)
+        return open_before(gradient(), self.sensor, **self.changes)
 
 
 class TestStandard(Steady):
