@@ -13,7 +13,7 @@ from camctl.menu.entries import SAVERS, seconds
 from camctl.menu.machine import step
 from camctl.menu.model import Model, State
 from camctl.menu.ports import Job, Key, Panel, PanelDisconnectedError
-from camctl.menu.screens import screen
+from camctl.menu.screens import ModelPanel, screen
 from camctl.menu.service import ServiceNotifier
 from camctl.menu.tables import LIVE_S, STATES, Event, Outcome, Start
 from camctl.menu.worker import Worker
@@ -150,6 +150,8 @@ class Session:
             if self.model.state is not before and shown is not None:
                 _discard_keys(panel)
             if self.model is not shown:
+                if isinstance(panel, ModelPanel):
+                    panel.show_model(self.model)
                 last_offset = panel.show(screen(self.model))
                 self.model = replace(self.model, offset=min(self.model.offset, last_offset))
                 shown = self.model

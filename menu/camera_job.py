@@ -36,7 +36,7 @@ from camctl.menu.data import (
     Settings,
     Summary,
 )
-from camctl.menu.live_view import LiveView
+from camctl.menu.live_view import LiveView, Sight
 from camctl.menu.settings_file import load_settings, save_settings
 from camctl.menu.thumbnails import frame_histogram, frame_picture
 from camctl.menu.views import entry_of, needed_bytes, plan_view, progress_view, summary_view
@@ -61,6 +61,7 @@ class CameraJob:
         parent: the folder in which each capture gets a folder of its own
         settings_path: file of the menu's settings
         request: what the menu does not ask for, such as the shift of the exposure
+        sight: shows what the camera sees in all its size, beside the small pictures of readings
     """
 
     def __init__(
@@ -70,6 +71,7 @@ class CameraJob:
         settings_path: Path,
         *,
         request: CaptureRequest | None = None,
+        sight: Sight | None = None,
     ) -> None:
         self._open_camera = open_camera
         self._parent = parent
@@ -79,7 +81,8 @@ class CameraJob:
         self._source: Mapping[str, Any] = {}
         self._camera_id = ""
         self._entry = CameraEntry("", "")
-        self._view = LiveView()
+        self._sight = sight
+        self._view = LiveView(sight)
 
     def load(self) -> Loaded:
         """Return the settings of the file, and how many captures are unfinished."""
@@ -152,6 +155,8 @@ class CameraJob:
         except CaptureError as error:
             return replace(reading, remark=error_text(error))
         frame = source.take(metered.setting)
+        if self._sight is not None:
+            self._sight.show_frame(frame, camera.controls, metered)
         return replace(
             reading,
             time_s=metered.limit_s * 2.0**self._request.compensation_stops,

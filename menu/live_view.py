@@ -9,13 +9,15 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from camctl.exposure.goal import AUTO, CaptureRequest
-from camctl.interface.camera import Camera
+from camctl.exposure.light import Metering
+from camctl.interface.camera import Camera, Frame
 from camctl.interface.clock import VirtualClock
+from camctl.interface.controls import ExposureControls
 from camctl.interface.cycle import CyclingCamera
 from camctl.menu.data import Picture, Reading
 from camctl.menu.thumbnails import BINS, COLUMNS, ROWS
@@ -32,10 +34,28 @@ _RATED = 8
 _STOPS = 16
 
 
-class LiveView:
-    """Shows one camera after the other; any thread may end it."""
+class Sight(Protocol):
+    """Shows what the camera sees in all its size.
 
-    def __init__(self) -> None:
+    Arrays of a result are overwritten by the next one; those of a frame are not.
+    """
+
+    def show_frame(self, frame: Frame, controls: ExposureControls, metered: Metering) -> None:
+        """Take a metering frame."""
+
+    def show_result(self, result: LiveResult, controls: ExposureControls) -> None:
+        """Take a picture of the effective camera."""
+
+
+class LiveView:
+    """Shows one camera after the other; any thread may end it.
+
+    Args:
+        sight: gets each picture, too
+    """
+
+    def __init__(self, sight: Sight | None = None) -> None:
+        self._sight = sight
         self._lock = threading.RLock()
         self._live: Live | None = None
         self._timer: threading.Timer | None = None
@@ -77,6 +97,8 @@ class LiveView:
             self._timer = threading.Timer(_UNSEEN_S, self.end)
             self._timer.daemon = True
             self._timer.start()
+            if self._sight is not None:
+                self._sight.show_result(result, camera.controls)
             seen = Look.at(result.sum, result.layout, result.tables)
             edges = np.linspace(-_STOPS, 0, BINS + 1)
             stops = np.clip(np.log2(np.maximum(seen.irradiance, 1e-12)), edges[0], edges[-1])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Protocol, runtime_checkable
 
 from camctl.menu import pages
 from camctl.menu.data import Cost
@@ -11,7 +12,7 @@ from camctl.menu.diagram import KEYS
 from camctl.menu.entries import RESPONSES, TIMERS, requested, rows, seconds
 from camctl.menu.machine import choices, selected
 from camctl.menu.model import Action, Goal, Model, State
-from camctl.menu.ports import Line, Mood, Screen
+from camctl.menu.ports import Line, Mood, Panel, Screen
 from camctl.menu.tables import STATES, Kind
 from camctl.menu.text import format_levels, format_short_time, format_total, gain_in_words
 from camctl.system.number_text import range_text
@@ -30,6 +31,14 @@ _WAITING = {
     State.QUIT: ("The menu has ended", "Ended"),
 }
 _FAILED = {state for state, spec in STATES.items() if Action.RETRY in spec.actions}
+
+
+@runtime_checkable
+class ModelPanel(Panel, Protocol):
+    """A panel that shows more of the menu's state than its screens hold."""
+
+    def show_model(self, model: Model) -> None:
+        """Take the state whose screen is shown next."""
 
 
 def screen(model: Model) -> Screen:

@@ -36,6 +36,7 @@ COMMANDS = (
     "resume",
     "merge",
     "menu",
+    "studio",
     "cameras",
     "calibrate",
     "profile",

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from camctl.cli import options
 from camctl.cli.commands import command
-from camctl.cli.options import CameraOptions, option
+from camctl.cli.options import CameraOptions, all_of, option
 from camctl.cli.output import print_text, print_warning
 from camctl.cli.parameter_types import PANEL, PATH
 from camctl.cli.request_options import RequestOptions, request_options
@@ -17,10 +18,29 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
     from camctl.interface.camera import Camera
-    from camctl.menu.ports import Panel
+    from camctl.menu.ports import Job, Panel
 
 # As in `camctl.interface.backends`, which imports numpy.
 CAMERAS, PANELS = "camctl.cameras", "camctl.panels"
+
+
+menu_options = all_of(
+    request_options("mains_hz", "use_aperture", "spend_shutter", "estimate_ratios"),
+    option(
+        "-o --output PATH",
+        "Folder in which each capture gets a folder of its own.",
+        PATH,
+        field="parent",
+        default=".",
+    ),
+    option(
+        "--menu-settings FILE",
+        "File in which the menu keeps what was selected; else in the user's state folder.",
+        PATH,
+        field="settings",
+    ),
+)
+"""The options of all that shows the menu."""
 
 
 @command(
@@ -39,20 +59,7 @@ CAMERAS, PANELS = "camctl.cameras", "camctl.panels"
     field="panel_id",
     default="terminal",
 )
-@request_options("mains_hz", "use_aperture", "spend_shutter", "estimate_ratios")
-@option(
-    "-o --output PATH",
-    "Folder in which each capture gets a folder of its own.",
-    PATH,
-    field="parent",
-    default=".",
-)
-@option(
-    "--menu-settings FILE",
-    "File in which the menu keeps what was selected; else in the user's state folder.",
-    PATH,
-    field="settings",
-)
+@menu_options
 def menu(
     camera: CameraOptions,
     panel_id: str,
@@ -69,8 +76,23 @@ def menu(
     from camctl.system.memory import use_little_memory
 
     use_little_memory()
+    run_menu(lambda: _panel(panel_id), camera, request, parent, settings)
+
+
+def run_menu(
+    make_panel: Callable[[], Panel],
+    camera: CameraOptions,
+    request: RequestOptions,
+    parent: Path,
+    settings: Path | None,
+    **more: Any,
+) -> None:
+    """Run the menu on a panel, and print where the last picture is.
+
+    What is wrong with the command line is reported before the panel is made; `more` is for
+    `camctl.menu.camera_job.CameraJob`.
+    """
     from camctl.menu.app import run
-    from camctl.menu.ports import Job
     from camctl.profiles import calibrated
 
     def open_camera(camera_id: str) -> tuple[Camera, dict[str, Any]]:
@@ -82,12 +104,11 @@ def menu(
         from camctl.menu.camera_job import CameraJob
 
         wanted = request.request()
-        return CameraJob(open_camera, parent, _settings_path(settings), request=wanted)
+        return CameraJob(open_camera, parent, _settings_path(settings), request=wanted, **more)
 
-    # What is wrong with the command line is reported before the panel is opened.
     camera.source()
     _entry_point("camera", CAMERAS, camera.camera_id.partition(":")[0])
-    last = run(_panel(panel_id), make_job)
+    last = run(make_panel(), make_job)
     if last is not None:
         for note in last.notes:
             print_warning(note)

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from base64 import b64encode
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from hashlib import sha256
@@ -85,6 +86,7 @@ class Site:
         name: as the server is given: ``web`` in ``web:8080``
         what: the server in messages
         page: the page whose scripts and styles may run; others may not
+        has_files: scripts and styles that the server sends as files may run, too
 
     Raises:
         UsageError: an invalid address, or a host that others reach without a token
@@ -96,6 +98,7 @@ class Site:
     name: str
     what: str
     page: bytes
+    has_files: bool = False
     host: str = field(init=False)
     port: int = field(init=False)
     headers: dict[str, str] = field(init=False)
@@ -113,7 +116,7 @@ class Site:
                 f"{self.what} on {self.host} could be used by anybody",
                 hint=f"set a token in {self.variable}, or leave the host out",
             )
-        self.headers = _headers(self.page)
+        self.headers = _headers(self.page, has_files=self.has_files)
         self.guesses = threading.Lock()
         self._server: LimitedServer | None = None
 
@@ -171,20 +174,22 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-def _headers(page: bytes) -> dict[str, str]:
+def _headers(page: bytes, *, has_files: bool) -> dict[str, str]:
     """Return what is sent with every answer: nothing is kept, framed or loaded from elsewhere."""
 
     def hashes(element: bytes) -> str:
         """Return the sources of a Content-Security-Policy that allow elements of the page."""
         found = re.findall(rb"<%b>(.*?)</%b>" % (element, element), page, re.DOTALL)
-        return " ".join(f"'sha256-{b64encode(sha256(text).digest()).decode()}'" for text in found)
+        allowed = ["'self'"] if has_files else []
+        allowed += (f"'sha256-{b64encode(sha256(text).digest()).decode()}'" for text in found)
+        return " ".join(allowed)
 
     return {
         "Cache-Control": "no-store",
         "Content-Security-Policy": (
             f"default-src 'none'; script-src {hashes(b'script')}; style-src {hashes(b'style')}; "
-            "img-src data: 'self'; connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; "
-            "form-action 'none'"
+            "img-src data: blob: 'self'; connect-src 'self'; frame-ancestors 'none'; "
+            "base-uri 'none'; form-action 'none'"
         ),
         "Referrer-Policy": "no-referrer",
         "X-Content-Type-Options": "nosniff",
@@ -252,13 +257,14 @@ class SiteHandler(BaseHTTPRequestHandler):
         status: HTTPStatus = HTTPStatus.OK,
         *,
         close: bool = False,
+        more: Mapping[str, str] | None = None,
     ) -> None:
-        """Send the header of an answer; None as `size`: it ends with the connection."""
+        """Send the header of an answer and `more`; without a `size` it ends with the connection."""
         self.send_response(status)
         self.send_header("Content-Type", kind)
         if size is not None:
             self.send_header("Content-Length", str(size))
-        for name, value in self.site.headers.items():
+        for name, value in {**self.site.headers, **(more or {})}.items():
             self.send_header(name, value)
         if close or size is None:
             self.send_header("Connection", "close")

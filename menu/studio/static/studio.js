@@ -1,0 +1,173 @@
+/* The page of the studio: follows the state of the menu and shows its sections.
+
+A section NAME is the module static/NAME.js.  Its default export is an object with
+  start(root, studio)   fill the element `root` once, when the section is opened first
+  show(state, studio)   show a state of the menu; called at each change while the section is open
+  open(studio)          optional: the section was opened
+  close(studio)         optional: another one was
+`studio` is what this module exports.  Sections and their states: menu/studio/sections.py. */
+
+const find = id => document.getElementById(id);
+const loaded = {};
+let wanted = location.hash.slice(1);
+
+/* Elements: h("p", {class: "pale", onclick: f}, "text", child, ...) */
+export function h(name, attributes, ...children) {
+  return fill(document.createElement(name), attributes, children);
+}
+export function svg(name, attributes, ...children) {
+  return fill(document.createElementNS("http://www.w3.org/2000/svg", name), attributes, children);
+}
+function fill(made, attributes, children) {
+  for (const [name, value] of Object.entries(attributes || {})) {
+    if (name.startsWith("on")) { made.addEventListener(name.slice(2), value); }
+    else if (value === true) { made.setAttribute(name, ""); }
+    else if (value !== false && value !== null && value !== undefined) {
+      made.setAttribute(name, value);
+    }
+  }
+  made.append(...children.flat().filter(each => each !== null && each !== undefined));
+  return made;
+}
+
+export function note(text) { find("note").textContent = text; }
+
+async function ask(path, options) {
+  let answer;
+  try {
+    answer = await fetch(path, options);
+  } catch (error) {
+    if (error.name === "AbortError") { throw error; }
+    throw new Error("camctl does not answer; trying again.");
+  }
+  if (!answer.ok) { throw new Error(await answer.text()); }
+  return answer;
+}
+export const get = (path, options) => ask(path, options);
+export const post = (path, body) => ask(path, {method: "POST", headers: {"X-Camctl": "1"},
+  body: body instanceof Blob ? body : JSON.stringify(body)});
+
+/* A choice: the fields of camctl.menu.studio.wishes.Wish. */
+export async function wish(fields) {
+  try {
+    await post("wish", fields);
+    note("");
+  } catch (error) { note(error.message); }
+}
+/* A choice on the page that is shown. */
+export const choose = fields => wish({seen: studio.state.state, ...fields});
+
+export const time = seconds => seconds >= 0.9995 ? +seconds.toPrecision(3) + " s"
+  : seconds >= 0.0009995 ? +(1e3 * seconds).toPrecision(3) + " ms"
+  : +(1e6 * seconds).toPrecision(3) + " µs";
+export const percent = share => share > 0 && share < 1e-4 ? "< 0.01 %"
+  : +(100 * share).toPrecision(3) + " %";
+export const levels = count => count < 9.95 ? count.toFixed(1) : Math.round(count).toString();
+export const range = ratio => "1:" + Math.round(ratio).toLocaleString("en");
+
+export const studio = {
+  state: null,
+  section: "",
+  h, svg, wish, get, post, note, time, percent, levels, range, choose, openSection,
+};
+
+const sectionOf = state => state.sections.find(each => each.states.includes(state.state));
+
+async function module(name) {
+  if (!(name in loaded)) {
+    const root = h("section", {"aria-label": name, class: "section-" + name});
+    loaded[name] = import(`./${name}.js`).then(found => {
+      found.default.start(root, studio);
+      return {root, ...found.default};
+    });
+  }
+  return loaded[name];
+}
+
+async function display(name) {
+  const state = studio.state;
+  const before = studio.section;
+  studio.section = name;
+  const made = await module(name);
+  if (studio.section !== name) { return; }
+  if (before !== name || !made.root.isConnected) {
+    if (before && before !== name) { (await module(before)).close?.(studio); }
+    find("main").replaceChildren(made.root);
+    find("main").scrollTop = 0;
+    history.replaceState(null, "", "#" + name);
+    made.open?.(studio);
+  }
+  for (const button of find("bar").children) {
+    if (button.dataset.section === name) { button.setAttribute("aria-current", "page"); }
+    else { button.removeAttribute("aria-current"); }
+  }
+  made.show(state, studio);
+}
+
+export function openSection(name) {
+  const section = studio.state.sections.find(each => each.name === name);
+  if (!section) { return; }
+  if (section.states.length && !section.states.includes(studio.state.state)) {
+    wish({state: section.states[0]});
+  } else { display(name); }
+}
+
+function showBar(state) {
+  if (find("bar").childElementCount) { return; }
+  find("bar").append(...state.sections.map((each, place) => h("button", {
+    "data-section": each.name, title: `${each.title} (${place + 1})`, onclick: () => openSection(each.name),
+  }, each.title)));
+}
+
+async function show(state) {
+  const before = studio.state;
+  studio.state = state;
+  showBar(state);
+  find("title").textContent = state.title;
+  find("camera").textContent = state.camera ? state.camera.name : "";
+  const free = state.reading ? state.reading.free_bytes : 0;
+  find("facts").textContent = [...(state.facts || []),
+    free ? (free / 1e9).toPrecision(3) + " GB free" : ""].filter(each => each).join(", ");
+  const own = sectionOf(state);
+  const open = state.sections.find(each => each.name === (studio.section || wanted));
+  wanted = "";
+  // A section without states stays open while the menu goes on.
+  const stays = open && !open.states.length;
+  await display(stays ? open.name : own ? own.name : "live");
+}
+
+document.addEventListener("keydown", event => {
+  const typing = event.target.closest("input, select, textarea, [data-keys]");
+  if (event.ctrlKey || event.altKey || event.metaKey || typing || !studio.state) { return; }
+  const names = {ArrowUp: "up", ArrowDown: "down", ArrowLeft: "left", ArrowRight: "right",
+    Escape: "exit"};
+  const place = "123456789".indexOf(event.key);
+  if (place >= 0 && place < studio.state.sections.length) {
+    openSection(studio.state.sections[place].name);
+  } else if (event.key === "Enter" && event.target.closest("button, a")) {
+    return;
+  } else if (event.key === "Enter" || names[event.key]) {
+    choose({key: names[event.key] || "enter"});
+  } else { return; }
+  event.preventDefault();
+});
+
+async function follow() {
+  let version = 0;
+  for (;;) {
+    try {
+      const state = await (await get("state?after=" + version)).json();
+      if (find("note").dataset.lost) { note(""); delete find("note").dataset.lost; }
+      if (state.version !== version && state.state) {
+        version = state.version;
+        await show(state);
+      }
+    } catch (error) {
+      note(error.message);
+      find("note").dataset.lost = "1";
+      version = 0;
+      await new Promise(resolve => setTimeout(resolve, 1000));
+    }
+  }
+}
+follow();
