@@ -136,7 +136,9 @@ class BatchScore:
         if isinstance(desired, LinearDesired):
             rise = (high - low) / (1 - desired.e_min)
         elif isinstance(desired, LogDesired):
-            rise = np.log1p((high - low) / low) / math.log(desired.dynamic_range)
+            # The edges are rounded as much as their ratio; log1p is three times as slow.
+            rise = np.log(high / low)
+            rise *= 1 / math.log(desired.dynamic_range)
         elif isinstance(desired, GammaDesired) and desired.gamma == 0.5:
             rise = np.diff(np.sqrt(edges), axis=1) / (1 - desired.e_min**0.5)
         else:

@@ -44,7 +44,7 @@ _LEAST_MERGED = 1.0
 """Noise in steps of the quantiser from which its phase no longer shows: frames with more of it, and
 away from black and white, have a normal sum (the mean of a step is exact to 1e-9 of a step)."""
 
-_LEAST_FOURIER = 48
+_LEAST_FOURIER = 32
 """Sums from which a convolution is faster by Fourier transforms."""
 
 _EVEN = 1e-6
@@ -165,13 +165,13 @@ class NoisySum:
         self.top = camera.levels_total + self.black
 
     def probabilities(self, E: FloatArray, z: float = 0.0) -> tuple[NDArray[np.intp], FloatArray]:
-        """Return the smallest possible sum at each E (Q,), and the probabilities from it (Q, W).
+        """Return the smallest possible sum at each E (Q,), and the probabilities from it (W, Q).
 
         `z` is the pixel's offset in units of the DSNU.  Neighbouring E should be similar: W is the
         number of sums that the widest distribution needs.
         """
         start = np.zeros(E.size, dtype=np.intp)
-        probability = np.ones((E.size, 1))
+        probability = np.ones((1, E.size))
         mean, variance = np.zeros(E.size), np.zeros(E.size)
         for frame in self.frames:
             x = frame.signal(E, z)
@@ -179,17 +179,21 @@ class NoisySum:
             thresholds = frame.thresholds
             low = np.searchsorted(thresholds, x - NORMAL_REACH * sigma, "right")
             high = np.searchsorted(thresholds, x + NORMAL_REACH * sigma, "right")
+            width = int((high - low).max()) + 1
+            if width == 1:  # black or white, or far from each threshold
+                start = start + low
+                continue
             unclipped = low.min() > 0 and high.max() < thresholds.size
             if unclipped and frame.step and sigma.min() >= _LEAST_MERGED * frame.step:
                 mean += (x - thresholds[0]) / frame.step + 0.5
                 variance += (sigma / frame.step) ** 2 + 1 / 12
                 continue
-            index = low[:, np.newaxis] + np.arange(int((high - low).max()) + 2)
+            index = low + np.arange(width + 1)[:, np.newaxis]
             next_threshold = thresholds[np.clip(index - 1, 0, thresholds.size - 1)]
-            above = normal_cdf((x[:, np.newaxis] - next_threshold) / sigma[:, np.newaxis])
-            above[:, 0] = 1.0
-            above[index > np.minimum(high, thresholds.size)[:, np.newaxis]] = 0.0
-            start, probability = start + low, _convolve(probability, above[:, :-1] - above[:, 1:])
+            above = normal_cdf((x - next_threshold) / sigma)
+            above[0] = 1.0
+            above[index > high] = 0.0
+            start, probability = start + low, _convolve(probability, above[:-1] - above[1:])
         if variance.any():
             low, single = _rounded_normal(mean, np.sqrt(variance - 1 / 12))
             start, probability = start + low, _convolve(probability, single)
@@ -197,26 +201,26 @@ class NoisySum:
 
 
 def _rounded_normal(mean: FloatArray, sigma: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
-    """Return the smallest integer (Q,) and the probabilities from it (Q, W) of rounded normals."""
+    """Return the smallest integer (Q,) and the probabilities from it (W, Q) of rounded normals."""
     low = np.floor(mean - NORMAL_REACH * sigma).astype(np.intp)
     size = int(np.ceil(2 * NORMAL_REACH * sigma.max())) + 2
-    edges = low[:, np.newaxis] - 0.5 + np.arange(size + 1)
-    above = normal_cdf((mean[:, np.newaxis] - edges) / sigma[:, np.newaxis])
-    return low, above[:, :-1] - above[:, 1:]
+    edges = low - 0.5 + np.arange(size + 1)[:, np.newaxis]
+    above = normal_cdf((mean - edges) / sigma)
+    return low, above[:-1] - above[1:]
 
 
 def _convolve(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the convolutions of the rows, (Q, V + W - 1) from (Q, V) and (Q, W)."""
-    if b.shape[1] > a.shape[1]:
+    """Return the convolutions of the columns, (V + W - 1, Q) from (V, Q) and (W, Q)."""
+    if len(b) > len(a):
         a, b = b, a
-    if b.shape[1] == 1:
+    if len(b) == 1:
         return a * b
-    if b.shape[1] > _LEAST_FOURIER:
-        size = a.shape[1] + b.shape[1] - 1
+    size = len(a) + len(b) - 1
+    if len(b) > _LEAST_FOURIER:
         length = 1 << (size - 1).bit_length()
-        product = np.fft.rfft(a, length) * np.fft.rfft(b, length)
-        return np.maximum(np.fft.irfft(product)[:, :size], 0.0)
-    total = np.zeros((a.shape[0], a.shape[1] + b.shape[1] - 1))
-    for shift in range(b.shape[1]):
-        total[:, shift : shift + a.shape[1]] += b[:, shift : shift + 1] * a
+        product = np.fft.rfft(a, length, axis=0) * np.fft.rfft(b, length, axis=0)
+        return np.maximum(np.fft.irfft(product, axis=0)[:size], 0.0)
+    total = np.zeros((size, a.shape[1]))
+    for shift, each in enumerate(b):
+        total[shift : shift + len(a)] += each * a
     return total

@@ -186,14 +186,14 @@ class Posterior:
         return v, np.repeat(half, 2) * np.where(v > 1, _ABOVE_RANGE, 1.0)
 
     def _joint(self, v: FloatArray) -> Iterator[tuple[slice, NDArray[np.intp], FloatArray]]:
-        """Yield some nodes, sums (nodes, W) that each may have, and their probabilities."""
+        """Yield some nodes, sums (W, nodes) that each may have, and their probabilities."""
         E = self._response.inverse(v)
         chunk = int(np.clip(v.size // CHUNKS, LEAST_CHUNK, MOST_CHUNK))
         for first in range(0, v.size, chunk):
             part = slice(first, first + chunk)
             for z, weight in self._offsets:
                 start, probability = self.sum.probabilities(E[part], z)
-                columns = start[:, np.newaxis] + np.arange(probability.shape[1])
+                columns = start + np.arange(len(probability))[:, np.newaxis]
                 yield part, np.minimum(columns, self.sum.top), weight * probability
 
     def _totals(self, weights: FloatArray, v: FloatArray) -> FloatArray:
@@ -202,10 +202,10 @@ class Posterior:
         # Not as a product of dense matrices: they are nearly empty, and their product, which runs
         # on several cores, takes several times as much processor time.
         for part, columns, probability in self._joint(v):
-            low = int(columns[:, 0].min())
+            low = int(columns[0].min())
             places = (columns - low).ravel()
             for weight, total in zip(weights[:, part], found[:, low:], strict=True):
-                added = np.bincount(places, (weight[:, np.newaxis] * probability).ravel())
+                added = np.bincount(places, (weight * probability).ravel())
                 total[: added.size] += added
         return found
 
@@ -259,8 +259,8 @@ class Posterior:
         E = self.desired.inverse(u)
         found = np.asarray((self._prnu * E * self.desired.slope(E)) ** 2)
         for part, columns, probability in self._joint(u):
-            difference = self.inverse.u[columns] - u[part, np.newaxis]
-            found[part] += np.sum(probability * difference**2, axis=1)
+            difference = self.inverse.u[columns] - u[part]
+            found[part] += np.sum(probability * difference**2, axis=0)
         return found
 
     def shares(self, E: FloatArray, marked: NDArray[np.bool_]) -> FloatArray:
@@ -272,7 +272,7 @@ class Posterior:
         """
         found = np.zeros(E.size)
         for part, columns, probability in self._joint(self._response.v(E)):
-            found[part] += np.sum(probability * marked[columns], axis=1)
+            found[part] += np.sum(probability * marked[columns], axis=0)
         return found
 
 
