@@ -39,8 +39,8 @@ def studio(
 ) -> None:
     """Choose, shoot and look at pictures in a browser: on this computer, a tablet or a phone.
 
-    The page shows what the camera sees, each response and range as a picture, and what accuracy
-    costs in time as a curve that is dragged.
+    The page follows the screens of the menu, with a button for each choice. It works with keys,
+    too, and from several browsers at once.
     """
     from camctl.menu.studio.panel import StudioPanel
 

@@ -74,7 +74,7 @@ class WebOutput:
         self._result: LiveResult | None = None
         self._numbers: dict[str, Any] = {}
         self.viewers = 0
-        self.site = Site(address, token, TOKEN_VARIABLE, "http", "the live page", _PAGE)
+        self.site = Site(address, token, TOKEN_VARIABLE, "http:", "the live page", _PAGE)
         self.site.start(_Handler, output=self)
 
     def write(self, result: LiveResult) -> None:

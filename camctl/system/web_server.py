@@ -83,7 +83,7 @@ class Site:
         address: ``PORT`` or ``HOST:PORT``
         token: what a browser must know; "": only this computer may see it
         variable: of the environment, in which the token is set
-        name: as the server is given: ``web`` in ``web:8080``
+        name: what its port follows where it is given: ``web:`` in ``web:8080``
         what: the server in messages
         page: the page whose scripts and styles may run; others may not
         has_files: scripts and styles that the server sends as files may run, too
@@ -108,7 +108,7 @@ class Site:
         if found is None or int(found["port"]) > 65535:
             raise UsageError(
                 f"invalid address {self.address!r} of {self.what}",
-                hint=f"use {self.name}:8080 or {self.name}:HOST:8080",
+                hint=f"use {self.name}8080 or {self.name}HOST:8080",
             )
         self.host, self.port = (found["host"] or "127.0.0.1").strip("[]"), int(found["port"])
         if not self.token and not is_loopback(self.host):

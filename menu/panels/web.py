@@ -56,7 +56,7 @@ class WebPanel:
     def __init__(self, address: str = str(DEFAULT_PORT), *, token: str | None = None) -> None:
         if token is None:
             token = os.environ.get(TOKEN_VARIABLE, "")
-        self._site = Site(address, token, TOKEN_VARIABLE, "web", "the panel web", _PAGE)
+        self._site = Site(address, token, TOKEN_VARIABLE, "web:", "the panel web", _PAGE)
         self.keys: queue.Queue[Key] = queue.Queue(64)
         self.changed = threading.Condition()
         self.version = 0

@@ -35,7 +35,7 @@ class StudioPanel(Studio):
         if token is None:
             token = os.environ.get(TOKEN_VARIABLE, "")
         self._site = Site(
-            address, token, TOKEN_VARIABLE, "--address", "the studio", PAGE, has_files=True
+            address, token, TOKEN_VARIABLE, "", "the studio", PAGE, has_files=True
         )
 
     @property
