@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import shutil
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -38,12 +40,20 @@ from camctl.menu.data import (
 )
 from camctl.menu.live_view import LiveView, Sight
 from camctl.menu.settings_file import load_settings, save_settings
-from camctl.menu.thumbnails import frame_histogram, frame_picture
-from camctl.menu.views import entry_of, needed_bytes, plan_view, progress_view, summary_view
+from camctl.menu.thumbnails import frame_histogram, frame_picture, sampled_picture
+from camctl.menu.views import (
+    entry_of,
+    needed_bytes,
+    plan_view,
+    progress_view,
+    setting_text,
+    summary_view,
+)
 from camctl.messages.menu import error_text
 from camctl.system.memory import return_free_memory
 
 if TYPE_CHECKING:  # the idle menu does not load what captures are made with
+    from camctl.captures.response_preview import PreviewedLight
     from camctl.records.capture_plan import CapturePlan
     from camctl.records.report import CaptureReport
 
@@ -51,6 +61,12 @@ OpenCamera = Callable[[str], tuple[Camera, Mapping[str, Any]]]
 """Returns an open camera for an id, "" the default one, and what a report keeps of it."""
 
 _Result = TypeVar("_Result")
+
+_PREVIEW_S, _PREVIEW_AGE_S = 1.0, 30.0
+"""Longest preview frame for pictures of choices, s: they are waited for, as the exposure meter is;
+and the time for which they serve the next choice, too."""
+_PREVIEW_SIDE = 480
+"""Pixels of the longest side of such a picture: half a phone's width, two device pixels each."""
 
 
 class CameraJob:
@@ -82,6 +98,8 @@ class CameraJob:
         self._camera_id = ""
         self._entry = CameraEntry("", "")
         self._sight = sight
+        self._previewed: PreviewedLight | None = None
+        self._previewed_until_s = -math.inf
         self._view = LiveView(sight)
 
     def load(self) -> Loaded:
@@ -109,6 +127,7 @@ class CameraJob:
     def close(self) -> None:
         """Close the camera; errors of one that was unplugged are left out."""
         self._view.end()
+        self._previewed_until_s = -math.inf
         camera, self._camera = self._camera, None
         if camera is not None:
             with suppress(CameraError):
@@ -195,6 +214,10 @@ class CameraJob:
         except (UsageError, CaptureError) as error:
             return Cost(problem=error.what)
         shutter_s = plan.shutter_s / plan.base_s if is_relative else plan.shutter_s
+        picture = None
+        if (light := self._previewed_light(camera, plan)) is not None:
+            shown = light.panel(plan.response, plan).picture
+            picture = None if shown is None else sampled_picture(shown, _PREVIEW_SIDE)
         return Cost(
             len(plan.settings),
             shutter_s,
@@ -202,7 +225,22 @@ class CameraJob:
             plan.effective_levels,
             plan.noise is not None,
             is_relative,
+            picture=picture,
         )
+
+    def _previewed_light(self, camera: Camera, plan: CapturePlan) -> PreviewedLight | None:
+        """Return the light for pictures of choices, of preview frames that are not old."""
+        if self._sight is None or not isinstance(camera, PreviewingCamera):
+            return None
+        if time.monotonic() > self._previewed_until_s:
+            from camctl.captures.response_preview import PreviewedLight, preview_settings
+
+            shortest = plan.settings[0]
+            longest = shortest.exposure * max(1.0, _PREVIEW_S / shortest.time_s)
+            settings = preview_settings(camera.controls, shortest, longest)
+            self._previewed = PreviewedLight.of(camera, settings)
+            self._previewed_until_s = time.monotonic() + _PREVIEW_AGE_S
+        return self._previewed
 
     def trace(self, choice: Choice, cancelled: Callable[[], bool]) -> tuple[Cost, ...]:
         """Return the most accurate settings for each time, the quickest first.
@@ -211,7 +249,12 @@ class CameraJob:
             UsageError: the noise of the camera is unknown
         """
         request = self._request_for(choice)
-        plan = self._with_camera(lambda camera: _planned(camera, request, cancelled))
+
+        def plan_with(camera: Camera) -> tuple[CapturePlan, PreviewedLight | None]:
+            plan = _planned(camera, request, cancelled)
+            return plan, self._previewed_light(camera, plan)
+
+        plan, light = self._with_camera(plan_with)
         if plan.front is None:
             raise UsageError(
                 "the noise of this camera is unknown, and with it what accuracy costs",
@@ -226,6 +269,12 @@ class CameraJob:
                 noise_known=True,
                 dynamic_range=plan.dynamic_range,
                 is_recommended=point == plan.front.recommended,
+                frames=tuple(map(setting_text, point.settings)),
+                picture=None
+                if light is None
+                else sampled_picture(
+                    light.noisy_picture(replace(plan, settings=point.settings)), _PREVIEW_SIDE
+                ),
             )
             for point in plan.front.points
         )

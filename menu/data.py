@@ -72,6 +72,15 @@ class Choice:
 
 
 @dataclass(frozen=True)
+class Picture:
+    """A small picture: `rgb` holds 3 bytes a pixel, row by row."""
+
+    columns: int
+    rows: int
+    rgb: bytes = field(repr=False)
+
+
+@dataclass(frozen=True)
 class Cost:
     """The price and the benefit of one choice with the camera that is open.
 
@@ -86,6 +95,8 @@ class Cost:
         dynamic_range: the one that is planned
         is_recommended: beyond it more time pays no more than averaging does
         problem: why the choice is impossible; the other fields are not used then
+        frames: text of each setting, where they are listed
+        picture: what the scene would look like; None: it is not known
     """
 
     count: int = 0
@@ -97,15 +108,8 @@ class Cost:
     dynamic_range: float = 0.0
     is_recommended: bool = False
     problem: str = ""
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A small picture: `rgb` holds 3 bytes a pixel, row by row."""
-
-    columns: int
-    rows: int
-    rgb: bytes = field(repr=False)
+    frames: tuple[str, ...] = ()
+    picture: Picture | None = None
 
 
 @dataclass(frozen=True)

@@ -76,6 +76,19 @@ def preview_picture(folder: Path) -> Picture:
     return _picture(np.broadcast_to(small, (rows, columns, 3)))
 
 
+def sampled_picture(pixels: NDArray[np.uint8], most: int) -> Picture:
+    """Return a picture with `most` pixels a side at most, of single pixels with all their noise.
+
+    Args:
+        pixels: (rows, columns), or the same with 1 or 3 channels
+        most: its longest side
+    """
+    step = max(1, -(-max(pixels.shape[:2]) // most))
+    small = pixels[::step, ::step]
+    small = small[..., np.newaxis] if small.ndim == 2 else small
+    return _picture(np.broadcast_to(small, (*small.shape[:2], 3)))
+
+
 def _step(shape: tuple[int, ...]) -> int:
     return max(1, -(-shape[0] // ROWS), -(-shape[1] // COLUMNS))
 

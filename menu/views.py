@@ -37,7 +37,7 @@ def needed_bytes(plan: CapturePlan, controls: ExposureControls) -> int:
 
 def plan_view(plan: CapturePlan, request: CaptureRequest) -> Plan:
     """Return what the menu shows of a plan."""
-    texts = [_setting_text(setting) for setting in plan.settings]
+    texts = [setting_text(setting) for setting in plan.settings]
     return Plan(
         frames=tuple(zip(texts, plan.exposures, strict=True)),
         shutter_s=plan.shutter_s,
@@ -54,7 +54,8 @@ def plan_view(plan: CapturePlan, request: CaptureRequest) -> Plan:
     )
 
 
-def _setting_text(setting: ExposureSetting) -> str:
+def setting_text(setting: ExposureSetting) -> str:
+    """Return the setting of a frame in words."""
     parts = [format_exact_time(setting.time_s)]
     if setting.gain != 1:
         parts.append(f"gain {setting.gain:.7g}")

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +82,114 @@ class ResponsePreview:
     left_out_s: tuple[float, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class PreviewedLight:
+    """The light that preview frames show, and what captures would make of it.
+
+    Attributes:
+        light: small, E = 1 saturates `exposure`
+        exposure: the shortest of the preview frames
+        controls: of the camera
+    """
+
+    light: Light
+    exposure: float
+    controls: ExposureControls
+
+    @classmethod
+    def of(cls, camera: Camera, settings: tuple[ExposureSetting, ...]) -> Self:
+        """Take preview frames, and return the light that they give."""
+        controls = camera.controls
+        pixels = [frame.pixels for frame in _frames(camera, settings)]
+        total = Accumulator(pixels[0].shape, pixels[0].dtype, len(settings), controls.white)
+        for each in pixels:
+            total.accumulate(each)
+        noise, exposures = controls.frame_noise(settings), relative_exposures(settings)
+        responses = controls.responses or (controls.levels,)
+        least = _LEAST_LEVEL * float(controls.levels.levels[0]) / max(exposures)
+        desired = desired_response("log", 1 / least)
+        posteriors = [
+            posterior_of(EffectiveCamera.of(each, exposures), desired, noise) for each in responses
+        ]
+        tables = tuple(map(Tables.of, posteriors))
+        light = frame_light(
+            parts_of(controls.layout, responses),
+            exposures,
+            noise if controls.noise else None,
+            [sample_patches(controls.layout.planes(each), controls.white) for each in pixels],
+            black=controls.black,
+            unit=1.0,
+            gains=[each.gain for each in settings],
+            prior=desired,
+        )
+        rendering = Rendering(
+            controls.layout,
+            tables,
+            desired,
+            light,
+            lambda place, rows: pixels[place][rows],
+            len(pixels),
+            controls.hot_pixels,
+        )
+        rows, columns = total.total.shape[:2]
+        reducer = LightReducer(rows, columns, rendering.full, 2 * PANEL_WIDTH)
+        for render in rendering.strips(total.total):
+            reducer.add(render())
+        found = reducer.light()
+        # What no preview frame shows is as bright as it probably is: longer ones are planned.
+        unseen = min(float(each.inverse.E[each.sum.black]) for each in posteriors)
+        shown = replace(found, irradiance=np.maximum(found.irradiance, np.float32(unseen)))
+        return cls(shown, min(setting.exposure for setting in settings), controls)
+
+    def panel(self, name: str, plan: CapturePlan) -> Panel:
+        """Return what a capture by `plan` would make of the light."""
+        light, controls = self.light, self.controls
+        camera = EffectiveCamera.of(controls.levels, relative_exposures(plan.settings))
+        posterior = posterior_of(camera, plan.desired, controls.frame_noise(plan.settings))
+        table, inverse = Tables.of(posterior), posterior.inverse
+        E = light.irradiance * np.float32(plan.settings[0].exposure / self.exposure)
+        sums = posterior.sum.black + np.searchsorted(camera.levels, E, side="right")
+        irradiance, mask = inverse.E.astype(np.float32)[sums], table.mask[sums]
+        noise = np.minimum(inverse.deviation[sums] / irradiance, 1.0).astype(np.float32)
+        white = light.white.copy()
+        white[(mask == SATURATED).all(axis=2)] = ALL
+
+        unlit = _shares(sums <= posterior.sum.black)
+        seen = Light(
+            irradiance,
+            np.where(mask == GOOD, np.maximum(noise, light.noise), light.noise),
+            np.maximum(light.saturated, _shares(mask == SATURATED)),
+            _shares(mask == DARK),
+            np.maximum(unlit, light.unlit),
+            white,
+        )
+        # Preview frames are shorter than the planned ones: noise moves light out of the range.
+        metered = plan.light
+        stored = (table.code[sums] >> 8).astype(np.uint8)
+        return Panel(
+            name,
+            "",
+            plan=plan,
+            picture=tone_map(seen),
+            stored=stored[..., 0] if stored.shape[2] == 1 else stored,
+            dark=float((mask == DARK).mean()) if metered is None else metered.dark,
+            saturated=float((mask == SATURATED).mean()) if metered is None else metered.clips,
+        )
+
+    def noisy_picture(self, plan: CapturePlan) -> NDArray[np.uint8]:
+        """Return the picture in the desired response with the noise of one capture by `plan`.
+
+        The shape is that of the light, (rows, columns, channels), sRGB as image.tiff.
+        """
+        camera = EffectiveCamera.of(self.controls.levels, relative_exposures(plan.settings))
+        posterior = posterior_of(camera, plan.desired, self.controls.frame_noise(plan.settings))
+        E = self.light.irradiance * np.float32(plan.settings[0].exposure / self.exposure)
+        sums = posterior.sum.black + np.searchsorted(camera.levels, E, side="right")
+        noise = np.random.default_rng(0).standard_normal(E.shape, np.float32)
+        E = np.clip(E + posterior.inverse.deviation[sums] * noise, 0.0, 1.0)
+        return (255 * plan.desired.u(E) + 0.5).astype(np.uint8)
+
+
 def preview_responses(camera: Camera, request: CaptureRequest) -> ResponsePreview:
     """Meter, plan each response as a capture would, take preview frames, and show each response.
 
@@ -107,13 +215,13 @@ def preview_responses(camera: Camera, request: CaptureRequest) -> ResponsePrevie
     possible = [each for each in plans.values() if isinstance(each, CapturePlan)]
     longest = max(setting.exposure for each in (plan, *possible) for setting in each.settings)
     settings = preview_settings(camera.controls, plan.settings[0], longest)
-    light, exposure = _light(camera, settings)
+    light = PreviewedLight.of(camera, settings)
     shown, panels = [], []
     for name, each in plans.items():
         if isinstance(each, str):
             panels.append(Panel(name, each))
             continue
-        panel = _panel(name, each, light, exposure, camera.controls)
+        panel = light.panel(name, each)
         panels.append(panel)
         shown.append(ShownResponse(name, each, panel.dark, panel.saturated))
     times = {setting.time_s for each in possible for setting in each.settings}
@@ -164,94 +272,12 @@ def _in_response(request: CaptureRequest, name: str, plan: CapturePlan) -> Captu
     )
 
 
-def _light(camera: Camera, settings: tuple[ExposureSetting, ...]) -> tuple[Light, float]:
-    """Return the light that preview frames give, and the exposure that E = 1 saturates."""
-    controls = camera.controls
-    pixels = [frame.pixels for frame in _frames(camera, settings)]
-    total = Accumulator(pixels[0].shape, pixels[0].dtype, len(settings), controls.white)
-    for each in pixels:
-        total.accumulate(each)
-    noise, exposures = controls.frame_noise(settings), relative_exposures(settings)
-    responses = controls.responses or (controls.levels,)
-    least = _LEAST_LEVEL * float(controls.levels.levels[0]) / max(exposures)
-    desired = desired_response("log", 1 / least)
-    posteriors = [
-        posterior_of(EffectiveCamera.of(each, exposures), desired, noise) for each in responses
-    ]
-    tables = tuple(map(Tables.of, posteriors))
-    light = frame_light(
-        parts_of(controls.layout, responses),
-        exposures,
-        noise if controls.noise else None,
-        [sample_patches(controls.layout.planes(each), controls.white) for each in pixels],
-        black=controls.black,
-        unit=1.0,
-        gains=[each.gain for each in settings],
-        prior=desired,
-    )
-    rendering = Rendering(
-        controls.layout,
-        tables,
-        desired,
-        light,
-        lambda place, rows: pixels[place][rows],
-        len(pixels),
-        controls.hot_pixels,
-    )
-    rows, columns = total.total.shape[:2]
-    reducer = LightReducer(rows, columns, rendering.full, 2 * PANEL_WIDTH)
-    for render in rendering.strips(total.total):
-        reducer.add(render())
-    found = reducer.light()
-    # What no preview frame shows is as bright as it probably is: the planned exposures are longer.
-    unseen = min(float(each.inverse.E[each.sum.black]) for each in posteriors)
-    shown = replace(found, irradiance=np.maximum(found.irradiance, np.float32(unseen)))
-    return shown, min(setting.exposure for setting in settings)
-
-
 def _frames(camera: Camera, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
     if isinstance(camera, PreviewingCamera):
         yield from map(camera.preview, settings)
         return
     with closing(camera.shoot(list(settings))) as frames:
         yield from frames
-
-
-def _panel(
-    name: str, plan: CapturePlan, light: Light, exposure: float, controls: ExposureControls
-) -> Panel:
-    """Return what a capture by `plan` would make of the light; E = 1 saturates `exposure`."""
-    camera = EffectiveCamera.of(controls.levels, relative_exposures(plan.settings))
-    posterior = posterior_of(camera, plan.desired, controls.frame_noise(plan.settings))
-    table, inverse = Tables.of(posterior), posterior.inverse
-    E = light.irradiance * np.float32(plan.settings[0].exposure / exposure)
-    sums = posterior.sum.black + np.searchsorted(camera.levels, E, side="right")
-    irradiance, mask = inverse.E.astype(np.float32)[sums], table.mask[sums]
-    noise = np.minimum(inverse.deviation[sums] / irradiance, 1.0).astype(np.float32)
-    white = light.white.copy()
-    white[(mask == SATURATED).all(axis=2)] = ALL
-
-    unlit = _shares(sums <= posterior.sum.black)
-    seen = Light(
-        irradiance,
-        np.where(mask == GOOD, np.maximum(noise, light.noise), light.noise),
-        np.maximum(light.saturated, _shares(mask == SATURATED)),
-        _shares(mask == DARK),
-        np.maximum(unlit, light.unlit),
-        white,
-    )
-    # Preview frames are shorter than the planned ones: their noise moves light out of the range.
-    metered = plan.light
-    stored = (table.code[sums] >> 8).astype(np.uint8)
-    return Panel(
-        name,
-        "",
-        plan=plan,
-        picture=tone_map(seen),
-        stored=stored[..., 0] if stored.shape[2] == 1 else stored,
-        dark=float((mask == DARK).mean()) if metered is None else metered.dark,
-        saturated=float((mask == SATURATED).mean()) if metered is None else metered.clips,
-    )
 
 
 def _shares(flags: NDArray[np.bool_]) -> NDArray[np.uint8]:

@@ -55,11 +55,13 @@ class Answer:
         content: the bytes, or the file that has them
         kind: media type
         name: under which a browser keeps it; "": it is shown
+        head: more lines of the head of the answer
     """
 
     content: bytes | Path
     kind: str = "application/json"
     name: str = ""
+    head: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, value: object) -> Answer:

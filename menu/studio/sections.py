@@ -6,6 +6,7 @@ To add one: a line in `SECTIONS`, its routes in a module beside this one, and ``
 from __future__ import annotations
 
 from camctl.menu.model import State
+from camctl.menu.studio import captures, choices, live
 from camctl.menu.studio.section import Section
 
 SECTIONS = (
@@ -13,9 +14,20 @@ SECTIONS = (
         "live",
         "Camera",
         (State.IDLE, State.STARTING, State.OPENING, State.CAMERA_FAILED, State.SAVER),
+        get={"picture": live.picture},
     ),
-    Section("look", "Look", (State.RESPONSE, State.RANGE, State.CUSTOM)),
-    Section("time", "Time", (State.FRONT, State.EXPOSURES, State.BUDGET)),
+    Section(
+        "look",
+        "Look",
+        (State.RESPONSE, State.RANGE, State.CUSTOM),
+        get={"picture": choices.cost_picture},
+    ),
+    Section(
+        "time",
+        "Time",
+        (State.FRONT, State.EXPOSURES, State.BUDGET),
+        get={"picture": choices.point_picture},
+    ),
     Section(
         "shoot",
         "Shoot",
@@ -45,6 +57,14 @@ SECTIONS = (
             State.PAST,
             State.RESULT,
         ),
+        get={
+            "files": captures.files,
+            "file": captures.file,
+            "small": captures.small,
+            "light": captures.light,
+            "layer": captures.layer,
+        },
+        post={"delete": captures.delete},
     ),
     Section(
         "settings",

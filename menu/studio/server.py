@@ -98,7 +98,7 @@ class StudioHandler(SiteHandler):
             self._send(answer)
 
     def _send(self, answer: Answer) -> None:
-        more = {}
+        more = dict(answer.head)
         if answer.name:
             more["Content-Disposition"] = f"attachment; filename*=UTF-8''{quote(answer.name)}"
         if isinstance(answer.content, bytes):

@@ -67,7 +67,7 @@ def _fields(value: Any, *left_out: str) -> dict[str, Any]:
 
 
 def _cost(cost: Cost) -> dict[str, Any]:
-    return _fields(cost)
+    return {**_fields(cost), "has_picture": cost.picture is not None}
 
 
 def _reading(reading: Reading) -> dict[str, Any]:

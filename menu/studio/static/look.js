@@ -1,8 +1,37 @@
-import {h} from "./studio.js";
-import {words} from "./screen.js";
+/* Response and range: each choice with the picture that it would give. */
+import {choose, h, levels, time, wish} from "./studio.js";
 
-let root;
+let root, shown = "";
 export default {
   start(element) { root = element; },
-  show(state) { root.replaceChildren(h("div", {class: "card"}, words(state))); },
+  show(state) {
+    const steps = [["response", "1 Response"], ["range", "2 Range"]].map(([name, title]) =>
+      h("button", {"aria-pressed": String(state.state === name || (name === "range"
+        && state.state === "custom")), onclick: () => wish({state: name})}, title));
+    const cards = state.lines.map((text, place) => {
+      const cost = state.costs[place], leads = state.entries[place];
+      const selected = place === state.selected;
+      const facts = leads ? "" : !cost ? "computing ..." : cost.problem ? cost.problem
+        : `${levels(cost.effective_levels)} levels in ${cost.is_relative
+          ? cost.shutter_s.toPrecision(3) + " × the shortest exposure"
+          : time(cost.wall_s === null ? cost.shutter_s : cost.wall_s)}, ${cost.count} exposures`;
+      const picture = cost && cost.has_picture
+        ? h("img", {alt: `preview: ${text}`, src: `look/picture/${place}?of=${state.request}`})
+        : h("span", {class: "none"}, leads ? "…" : cost ? "no preview" : "");
+      return h("button", {class: "choice", "aria-pressed": String(selected), "data-entry": place,
+        onclick: () => choose({index: place, take: Boolean(leads)})},
+      picture, h("strong", {}, text), h("span", {class: "pale"}, facts));
+    });
+    const focused = document.activeElement?.dataset?.entry;
+    const here = JSON.stringify([state.state, state.selected, state.costs, state.note]);
+    if (here === shown && root.isConnected) { return; }
+    shown = here;
+    root.replaceChildren(
+      h("div", {class: "buttons"}, steps,
+        h("button", {class: "main next", onclick: () => choose({key: "enter"})},
+          state.state === "response" ? "Next: range" : "Next: time")),
+      h("div", {class: "choices"}, cards),
+      h("p", {class: "pale"}, state.detail));
+    if (focused !== undefined) { root.querySelector(`[data-entry="${focused}"]`)?.focus(); }
+  },
 };

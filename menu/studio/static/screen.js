@@ -7,6 +7,7 @@ export const WORDS = {set: "Choose ...", shoot: "Shoot", menu: "Menu", timer: "S
 
 /* The buttons of a page; the one that the enter key presses is marked. */
 export function buttons(state, words = {}) {
+  if (!state.actions.length) { return null; }
   return h("div", {class: "buttons"}, state.actions.map((action, place) => h("button", {
     class: place === state.action ? "main" : "", "data-action": action,
     onclick: () => choose({action}),
@@ -26,7 +27,8 @@ export function words(state) {
     state.detail ? h("p", {class: "pale"}, state.detail) : null,
     state.share === null ? null : h("progress", {max: 1, value: state.share}),
     buttons(state),
-    state.kind === "wait" && state.state !== "quit"
-      ? h("button", {onclick: () => choose({key: "exit"})}, "Stop") : null,
-  ];
+    state.state === "saver" ? h("button", {onclick: () => choose({key: "enter"})}, "Wake up")
+      : state.kind === "wait" && state.state !== "quit"
+        ? h("button", {onclick: () => choose({key: "exit"})}, "Stop") : null,
+  ].filter(each => each);
 }

@@ -1,8 +1,57 @@
-import {h} from "./studio.js";
-import {words} from "./screen.js";
+/* The plan, the self-timer, and the progress of a capture. */
+import {choose, h, levels, percent, time} from "./studio.js";
+import {buttons} from "./screen.js";
 
 let root;
+
+function planned(plan) {
+  return [
+    h("dl", {}, [
+      ["accuracy", `${levels(plan.effective_levels)} effective levels`
+        + (plan.noise_known ? "" : ", the noise is unknown")],
+      ["time", plan.wall_s === null ? "unknown"
+        : (plan.is_wall_known ? "" : "at least ") + time(plan.wall_s)],
+      ["exposed", time(plan.shutter_s)],
+      ["range", "1:" + Math.round(plan.dynamic_range).toLocaleString("en")],
+      ["space", `${(plan.needed_bytes / 1e6).toPrecision(3)} MB of `
+        + `${(plan.free_bytes / 1e9).toPrecision(3)} GB`],
+    ].flatMap(([name, text]) => [h("dt", {}, name), h("dd", {}, text)])),
+    h("table", {}, h("thead", {}, h("tr", {}, h("th", {}, "frame"), h("th", {}, "setting"),
+      h("th", {}, "exposure"))),
+    h("tbody", {}, plan.frames.map(([text, ratio], at) => h("tr", {}, h("td", {}, at + 1),
+      h("td", {}, text), h("td", {}, "× " + +ratio.toPrecision(4)))))),
+    ...plan.warnings.map(text => h("p", {class: "warn"}, text)),
+  ];
+}
+
+function progress(state) {
+  const at = state.progress, plan = state.plan;
+  const count = at && at.stage === "shooting" ? at.total : plan ? plan.frames.length : 0;
+  const done = !at ? 0 : at.stage === "shooting" ? at.done : at.stage === "metering" ? 0 : count;
+  const frames = Array.from({length: count}, (_, place) => h("li", {
+    class: place < done ? "done" : place === done ? "now" : ""}, String(place + 1)));
+  return [
+    h("p", {class: "large"}, state.lines[0] || ""),
+    h("progress", {max: 1, value: state.share === null ? 0 : state.share,
+      "aria-label": "progress"}),
+    h("ol", {class: "frames", "aria-label": "frames"}, frames),
+  ];
+}
+
 export default {
   start(element) { root = element; },
-  show(state) { root.replaceChildren(h("div", {class: "card"}, words(state))); },
+  show(state) {
+    const running = ["shooting", "resuming", "cancelling", "timer"].includes(state.state);
+    const parts = state.state === "review" && state.plan ? planned(state.plan)
+      : running ? progress(state)
+        : [...state.lines.map(text => h("p", {}, text)),
+          ...state.paragraphs.map(text => h("p", {class: state.mood === "error" ? "bad" : ""},
+            text))];
+    root.replaceChildren(h("div", {class: "card"}, [
+      buttons(state, {timer: state.chosen.timer, back: "Change"}),
+      running || state.state === "planning" ? h("div", {class: "buttons"}, h("button", {
+        class: "danger", "data-stop": true, disabled: state.state === "cancelling",
+        onclick: () => choose({key: "exit"})}, "Cancel")) : null,
+      parts].flat()));
+  },
 };

@@ -1,8 +1,133 @@
-import {h} from "./studio.js";
-import {words} from "./screen.js";
+/* The time dial: accuracy against time as a curve that is dragged; or a list of the same. */
+import {choose, h, levels, svg, time, wish} from "./studio.js";
 
-let root;
+const WIDTH = 640, HEIGHT = 300, LEFT = 56, RIGHT = 20, TOP = 14, BOTTOM = 44;
+let root, dial, picture, facts, slider, drawn = "", sent = -1;
+
+function scale(front) {
+  const times = front.map(each => Math.log(each.wall_s));
+  const counts = front.map(each => Math.log(each.effective_levels));
+  const span = (values, low, high) => {
+    const first = Math.min(...values), last = Math.max(...values);
+    return value => low + (high - low) * (last > first ? (value - first) / (last - first) : 0.5);
+  };
+  const x = span(times, LEFT, WIDTH - RIGHT), y = span(counts, HEIGHT - BOTTOM, TOP + 12);
+  return front.map((each, at) => [x(times[at]), y(counts[at])]);
+}
+
+function draw(front, selected) {
+  const places = scale(front), [x, y] = places[selected], point = front[selected];
+  const label = (text, at, anchor) => svg("text", {x: at[0], y: at[1], fill: "#b9c2cc",
+    "font-size": 14, "text-anchor": anchor}, text);
+  const parts = [
+    svg("line", {x1: LEFT, y1: HEIGHT - BOTTOM, x2: WIDTH - RIGHT, y2: HEIGHT - BOTTOM,
+      stroke: "#4a5563"}),
+    label(time(front[0].wall_s), [LEFT, HEIGHT - 22], "start"),
+    label(time(front.at(-1).wall_s), [WIDTH - RIGHT, HEIGHT - 22], "end"),
+    label("time of the capture", [(LEFT + WIDTH) / 2, HEIGHT - 4], "middle"),
+    label(levels(front[0].effective_levels), [LEFT - 8, HEIGHT - BOTTOM], "end"),
+    label(levels(front.at(-1).effective_levels), [LEFT - 8, TOP + 16], "end"),
+    svg("polyline", {points: places.map(each => each.join(",")).join(" "), fill: "none",
+      stroke: "#9ec5ff", "stroke-width": 2}),
+    svg("line", {x1: x, y1: y, x2: x, y2: HEIGHT - BOTTOM, stroke: "#9ec5ff",
+      "stroke-dasharray": "4 4"}),
+    ...places.map(([px, py], at) => svg("circle", {cx: px, cy: py, r: at === selected ? 12
+      : front[at].is_recommended ? 7 : 5, fill: at === selected ? "#2563a8"
+      : front[at].is_recommended ? "#7fd99a" : "#9ec5ff", stroke: "#f2f3f1",
+    "stroke-width": at === selected ? 3 : 0})),
+  ];
+  dial.replaceChildren(...parts);
+  facts.replaceChildren(...[
+    ["time", time(point.wall_s)], ["of it exposed", time(point.shutter_s)],
+    ["accuracy", levels(point.effective_levels) + " effective levels, noise counted"],
+    ["exposures", String(point.count) + (point.is_recommended ? ", recommended" : "")],
+    ["set", point.frames.join(", ")],
+  ].flatMap(([name, text]) => [h("dt", {}, name), h("dd", {}, text)]));
+}
+
+function move(front, at, request) {
+  draw(front, at);
+  slider.value = at;
+  slider.setAttribute("aria-valuetext", `${time(front[at].wall_s)}, ` +
+    `${levels(front[at].effective_levels)} effective levels`);
+  picture.hidden = !front[at].has_picture;
+  const source = `time/picture/${at}?of=${request}`;
+  if (front[at].has_picture && picture.getAttribute("src") !== source) { picture.src = source; }
+  if (at !== sent) {
+    sent = at;
+    choose({index: at});
+  }
+}
+
+function showDial(state) {
+  const front = state.front;
+  const key = `${state.request}`;
+  if (drawn !== key || !dial?.isConnected) {
+    drawn = key;
+    dial = svg("svg", {viewBox: `0 0 ${WIDTH} ${HEIGHT}`, class: "dial", "aria-hidden": "true"});
+    picture = h("img", {alt: "the scene with the noise of this set, single pixels",
+      class: "noise"});
+    facts = h("dl", {});
+    slider = h("input", {type: "range", min: 0, max: front.length - 1, step: 1,
+      value: state.selected, "aria-label": "time of the capture",
+      oninput: () => move(front, Number(slider.value), key)});
+    const drag = event => {
+      if (event.buttons === 0 && event.type === "pointermove") { return; }
+      const box = dial.getBoundingClientRect();
+      const x = (event.clientX - box.left) / box.width * WIDTH;
+      const places = scale(front);
+      let nearest = 0;
+      places.forEach(([px], at) => {
+        if (Math.abs(px - x) < Math.abs(places[nearest][0] - x)) { nearest = at; }
+      });
+      if (nearest !== Number(slider.value)) { move(front, nearest, key); }
+    };
+    dial.addEventListener("pointerdown", event => {
+      dial.setPointerCapture(event.pointerId);
+      drag(event);
+    });
+    dial.addEventListener("pointermove", drag);
+    sent = state.selected;
+    root.replaceChildren(tabs(state), h("div", {class: "dials"},
+      h("div", {class: "card"}, dial, slider, h("p", {class: "pale"},
+        "Drag, or use the arrow keys. Green: recommended.")),
+      h("div", {class: "card"}, picture, facts,
+        h("div", {class: "buttons"}, h("button", {class: "main", "data-take": true,
+          onclick: () => choose({index: Number(slider.value), take: true})}, "Plan this")))));
+  }
+  // What this page has just chosen is already shown.
+  const own = document.activeElement === slider || dial.matches(":active");
+  move(front, own ? Number(slider.value) : (sent = state.selected), key);
+}
+
+function tabs(state) {
+  return h("div", {class: "buttons", role: "group", "aria-label": "what decides"},
+    [["front", "Time / accuracy"], ["exposures", "Number"], ["budget", "Time budget"]].map(
+      ([name, title]) => h("button", {"aria-pressed": String(state.state === name),
+        onclick: () => wish({state: name})}, title)));
+}
+
 export default {
   start(element) { root = element; },
-  show(state) { root.replaceChildren(h("div", {class: "card"}, words(state))); },
+  show(state) {
+    if (state.state === "front" && state.front.length) { showDial(state); return; }
+    drawn = "";
+    const focused = document.activeElement?.dataset?.entry;
+    const list = state.lines.map((text, place) => {
+      const cost = state.costs[place], leads = state.entries[place];
+      const words = leads ? "" : !cost ? "computing ..." : cost.problem || [
+        cost.wall_s === null ? time(cost.shutter_s) : time(cost.wall_s),
+        `${levels(cost.effective_levels)} levels`, `${cost.count} exposures`].join(", ");
+      return h("button", {class: "row", "aria-pressed": String(place === state.selected),
+        "data-entry": place, onclick: () => choose({index: place, take: Boolean(leads)})},
+      h("strong", {}, text), h("span", {class: "pale"}, words));
+    });
+    root.replaceChildren(tabs(state),
+      ...(state.lines.length ? [h("div", {class: "rows"}, list),
+        h("div", {class: "buttons"}, h("button", {class: "main", "data-take": true,
+          onclick: () => choose({key: "enter"})}, "Plan this"))] : []),
+      h("p", {class: "pale"}, state.detail),
+      ...state.paragraphs.map(text => h("p", {}, text)));
+    if (focused !== undefined) { root.querySelector(`[data-entry="${focused}"]`)?.focus(); }
+  },
 };

@@ -1,0 +1,103 @@
+"""Draw the views of `camctl studio` in headless Chromium, at three sizes.
+
+    python docs/draw_studio.py [FOLDER]
+
+Writes docs/pictures/studio-VIEW-WIDTHxHEIGHT.png, or into FOLDER.  It needs Playwright and
+Chromium, and uses the simulated camera.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from playwright.sync_api import sync_playwright
+
+SIZES = ((390, 844), (844, 390), (1280, 800))
+
+
+@contextmanager
+def studio(folder: str, *options: str) -> Iterator[str]:
+    """Yield the address of a studio whose captures are in a folder."""
+    command = [sys.executable, "-m", "camctl", "studio", "--address", "0", "-o", folder]
+    command += ["--menu-settings", f"{folder}/menu.json", *options]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    try:
+        yield process.stderr.readline().split()[-1]
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def tour(page: Any, take: Any) -> None:
+    """Go through the views, and take each."""
+    page.wait_for_selector("[data-action=set]")
+    page.wait_for_selector(".sight img[src]")
+    page.wait_for_timeout(500)
+    take("camera")
+    page.click("[data-action=set]")
+    page.wait_for_selector(".choice:nth-child(4) img")
+    page.wait_for_timeout(500)
+    take("response")
+    page.click(".next")
+    page.wait_for_selector(".choice:nth-child(4) img")
+    page.wait_for_timeout(500)
+    take("range")
+    page.click("[data-section=time]")
+    page.wait_for_selector(".dial", timeout=60000)
+    page.wait_for_timeout(500)
+    take("time")
+    page.click("[data-take]")
+    page.wait_for_selector("[data-action=timer]", timeout=60000)
+    page.wait_for_timeout(200)
+    take("plan")
+    page.click("[data-action=shoot]")
+    page.wait_for_selector(".picture", timeout=60000)
+    page.wait_for_timeout(500)
+    page.focus(".picture")
+    page.keyboard.press("ArrowRight")
+    page.click("[data-layer=dark]")
+    page.wait_for_timeout(1000)
+    take("result")
+    page.click("[data-section=captures]")
+    page.wait_for_timeout(300)
+    page.keyboard.press("Escape")
+    page.wait_for_timeout(300)
+    page.click("[data-section=captures]")
+    page.wait_for_selector(".choice")
+    page.wait_for_timeout(500)
+    take("captures")
+    page.click("[data-section=settings]")
+    page.wait_for_timeout(300)
+    take("settings")
+
+
+def main(target: Path) -> None:
+    """Draw all."""
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox"]
+        )
+        for width, height in SIZES:
+            with tempfile.TemporaryDirectory() as folder, studio(folder) as url:
+                page = browser.new_page(viewport={"width": width, "height": height})
+                page.on("pageerror", lambda error: print(error, file=sys.stderr))
+                page.goto(url)
+
+                def take(view: str, page: Any = page, size: str = f"{width}x{height}") -> None:
+                    page.screenshot(path=target / f"studio-{view}-{size}.png")
+
+                tour(page, take)
+                page.close()
+        browser.close()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "pictures")

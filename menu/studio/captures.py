@@ -1,0 +1,180 @@
+"""The section *Captures*: files, masks, the light at a place, and deletion of captures."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from http import HTTPStatus
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.errors import DataError
+from camctl.menu.model import State
+from camctl.menu.studio.section import NOT_FOUND, Answer, RefusedError, Request
+from camctl.menu.studio.studio import Studio
+from camctl.records import REPORT
+from camctl.system.files import storage_error
+from camctl.system.picture_operations import dilated, opencv, png
+
+_SHOWN = {".png": "image/png", ".jpg": "image/jpeg"}
+"""Files that a browser shows, by suffix; it keeps the others."""
+_BUSY = {State.SHOOTING, State.RESUMING, State.CANCELLING, State.STOPPING}
+_LAYERS = {
+    "dark": (1, (80, 120, 255)),
+    "saturated": (2, (255, 60, 60)),
+    "moved": (4, (255, 200, 60)),
+    "hot": (8, (90, 255, 140)),
+}
+"""Bits of the mask, see `camctl.pictures.render`, and the colours in which they are painted."""
+_MASK_SIDE = 1600
+"""Pixels of the longest side of a mask at most: a page shows no more of it."""
+
+
+def _folder(studio: Studio, name: str) -> Path:
+    """Return the folder of a capture; raises `RefusedError` where there is none."""
+    folder = studio.parent / name
+    plain = name and Path(name).name == name and not name.startswith(".")
+    if not plain or folder.is_symlink() or not (folder / REPORT).is_file():
+        raise RefusedError(NOT_FOUND, "there is no such capture")
+    return folder
+
+
+def _files(folder: Path) -> list[str]:
+    """Return the files of a capture and of its frames, by name."""
+    found = [
+        path for part in (folder, folder / "frames") if part.is_dir() for path in part.iterdir()
+    ]
+    names = [
+        str(path.relative_to(folder))
+        for path in found
+        if path.is_file() and not path.is_symlink() and not path.name.startswith(".")
+    ]
+    return sorted(names, key=lambda name: ("/" in name, name))
+
+
+def files(studio: Studio, request: Request) -> Answer:
+    """Return the files of a capture with their sizes: ``captures/files/NAME``."""
+    folder = _folder(studio, request.rest)
+    return Answer.of(
+        [{"name": name, "bytes": (folder / name).stat().st_size} for name in _files(folder)]
+    )
+
+
+def file(studio: Studio, request: Request) -> Answer:
+    """Return a file: ``captures/file/NAME/FILE``; a picture is shown without ``keep``."""
+    capture, _, name = request.rest.partition("/")
+    folder = _folder(studio, capture)
+    if name not in _files(folder):
+        raise RefusedError(NOT_FOUND, "the capture has no such file")
+    kind = _SHOWN.get(Path(name).suffix)
+    if kind is not None and "keep" not in request.query:
+        return Answer(folder / name, kind)
+    return Answer(
+        folder / name,
+        kind or "application/octet-stream",
+        f"{capture}-{name.replace('/', '-')}",
+    )
+
+
+def small(studio: Studio, request: Request) -> Answer:
+    """Return a small picture of a capture: ``captures/small/NAME``."""
+    from camctl.menu.thumbnails import preview_picture
+
+    picture = preview_picture(_folder(studio, request.rest))
+    pixels = np.frombuffer(picture.rgb, np.uint8).reshape(picture.rows, picture.columns, 3)
+    return Answer(png(pixels), "image/png")
+
+
+class _Radiance:
+    """The light of the capture that was looked at last."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._key: tuple[Path, int] | None = None
+        self._kept: tuple[NDArray[Any], NDArray[Any], NDArray[Any]] | None = None
+
+    def of(self, folder: Path) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """Return light, its standard deviation, and the mask; raises `DataError`."""
+        from camctl.pictures.files import RADIANCE, read_deviation, read_mask, read_radiance
+
+        path = folder / RADIANCE
+        try:
+            key = (path, path.stat().st_mtime_ns)
+        except OSError:
+            raise DataError(f"{folder.name} has no {RADIANCE}", hint="resume it") from None
+        with self._lock:
+            if self._kept is None or self._key != key:
+                self._kept = None
+                self._kept = read_radiance(path), read_deviation(path), read_mask(path)
+                self._key = key
+            return self._kept
+
+
+_RADIANCE = _Radiance()
+
+
+def light(studio: Studio, request: Request) -> Answer:
+    """Return what is known of a place: ``captures/light/NAME?x=..&y=..``, shares of the picture.
+
+    Light and standard deviation have a value for each channel; null where it is not finite.
+    """
+    folder = _folder(studio, request.rest)
+    radiance, deviation, mask = _RADIANCE.of(folder)
+    try:
+        shares = [float(request.query[name]) for name in ("y", "x")]
+    except (KeyError, ValueError):
+        shares = [-1.0]
+    if not all(0 <= share <= 1 for share in shares):
+        raise RefusedError(HTTPStatus.BAD_REQUEST, "there is no such place")
+    row, column = (
+        min(int(share * length), length - 1)
+        for share, length in zip(shares, radiance.shape[:2], strict=True)
+    )
+    bits = int(np.bitwise_or.reduce(np.atleast_1d(mask[row, column])))
+    return Answer.of(
+        {
+            "row": row,
+            "column": column,
+            "light": _numbers(radiance[row, column]),
+            "deviation": _numbers(deviation[row, column]),
+            "layers": [name for name, (bit, _) in _LAYERS.items() if bits & bit],
+        }
+    )
+
+
+def _numbers(values: Any) -> list[float | None]:
+    found = np.atleast_1d(values).astype(float).tolist()
+    return [each if np.isfinite(each) else None for each in found]
+
+
+def layer(studio: Studio, request: Request) -> Answer:
+    """Return a layer of the mask as a picture to lay over: ``captures/layer/NAME/LAYER``."""
+    capture, _, name = request.rest.partition("/")
+    folder = _folder(studio, capture)
+    if name not in _LAYERS or (cv2 := opencv()) is None:
+        raise RefusedError(NOT_FOUND, "there is no such layer")
+    bit, colour = _LAYERS[name]
+    *_, mask = _RADIANCE.of(folder)
+    found: NDArray[np.bool_] = np.atleast_3d((mask & bit) > 0).any(axis=2)
+    step = max(1, -(-max(found.shape) // _MASK_SIDE))
+    # A single pixel must not be lost where the layer is reduced.
+    wide = dilated(found.astype(np.uint8), (step, step))[::step, ::step] > 0
+    painted = np.zeros((*wide.shape, 4), np.uint8)
+    painted[wide] = (*colour[::-1], 255)
+    _, data = cv2.imencode(".png", painted)
+    return Answer(bytes(data), "image/png")
+
+
+def delete(studio: Studio, request: Request) -> Answer:
+    """Delete a capture with all its files: ``captures/delete/NAME``."""
+    folder = _folder(studio, request.rest)
+    if studio.model.state in _BUSY:
+        raise RefusedError(HTTPStatus.CONFLICT, "a capture is running; delete when it has ended")
+    try:
+        shutil.rmtree(folder)
+    except OSError as error:
+        raise storage_error(folder, error) from error
+    return Answer.of({})

@@ -1,0 +1,30 @@
+"""The sections *Look* and *Time*: pictures of what can be chosen."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from camctl.menu.data import Picture
+from camctl.menu.studio.section import NOT_FOUND, Answer, RefusedError, Request
+from camctl.menu.studio.studio import Studio
+from camctl.system.picture_operations import png
+
+
+def cost_picture(studio: Studio, request: Request) -> Answer:
+    """Return the picture of an entry of the list: ``look/picture/INDEX``."""
+    costs = studio.model.costs
+    return _answer([None if each is None else each.picture for each in costs], request)
+
+
+def point_picture(studio: Studio, request: Request) -> Answer:
+    """Return the picture of a point of the front: ``time/picture/INDEX``."""
+    return _answer([each.picture for each in studio.model.front], request)
+
+
+def _answer(pictures: list[Picture | None], request: Request) -> Answer:
+    index = int(request.rest) if request.rest.isdecimal() and len(request.rest) < 4 else -1
+    picture = pictures[index] if 0 <= index < len(pictures) else None
+    if picture is None:
+        raise RefusedError(NOT_FOUND, "there is no such picture")
+    pixels = np.frombuffer(picture.rgb, np.uint8).reshape(picture.rows, picture.columns, 3)
+    return Answer(png(pixels), "image/png")
