@@ -216,7 +216,7 @@ class CameraJob:
         shutter_s = plan.shutter_s / plan.base_s if is_relative else plan.shutter_s
         picture = None
         if (light := self._previewed_light(camera, plan)) is not None:
-            shown = light.panel(plan.response, plan).picture
+            shown = light.panel(plan.response, plan).stored
             picture = None if shown is None else sampled_picture(shown, _PREVIEW_SIDE)
         return Cost(
             len(plan.settings),

@@ -158,7 +158,7 @@ def layer(studio: Studio, request: Request) -> Answer:
         raise RefusedError(NOT_FOUND, "there is no such layer")
     bit, colour = _LAYERS[name]
     *_, mask = _RADIANCE.of(folder)
-    found: NDArray[np.bool_] = np.atleast_3d((mask & bit) > 0).any(axis=2)
+    found = np.asarray(np.atleast_3d((mask & bit) > 0).any(axis=2))
     step = max(1, -(-max(found.shape) // _MASK_SIDE))
     # A single pixel must not be lost where the layer is reduced.
     wide = dilated(found.astype(np.uint8), (step, step))[::step, ::step] > 0

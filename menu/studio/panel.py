@@ -34,9 +34,7 @@ class StudioPanel(Studio):
         super().__init__(parent)
         if token is None:
             token = os.environ.get(TOKEN_VARIABLE, "")
-        self._site = Site(
-            address, token, TOKEN_VARIABLE, "", "the studio", PAGE, has_files=True
-        )
+        self._site = Site(address, token, TOKEN_VARIABLE, "", "the studio", PAGE, has_files=True)
 
     @property
     def url(self) -> str:

@@ -15,9 +15,9 @@ export default {
         : `${levels(cost.effective_levels)} levels in ${cost.is_relative
           ? cost.shutter_s.toPrecision(3) + " × the shortest exposure"
           : time(cost.wall_s === null ? cost.shutter_s : cost.wall_s)}, ${cost.count} exposures`;
-      const picture = cost && cost.has_picture
+      const picture = leads ? null : cost && cost.has_picture
         ? h("img", {alt: `preview: ${text}`, src: `look/picture/${place}?of=${state.request}`})
-        : h("span", {class: "none"}, leads ? "…" : cost ? "no preview" : "");
+        : h("span", {class: "none"}, cost ? "no preview" : "");
       return h("button", {class: "choice", "aria-pressed": String(selected), "data-entry": place,
         onclick: () => choose({index: place, take: Boolean(leads)})},
       picture, h("strong", {}, text), h("span", {class: "pale"}, facts));

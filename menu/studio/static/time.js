@@ -1,7 +1,7 @@
 /* The time dial: accuracy against time as a curve that is dragged; or a list of the same. */
 import {choose, h, levels, svg, time, wish} from "./studio.js";
 
-const WIDTH = 640, HEIGHT = 300, LEFT = 56, RIGHT = 20, TOP = 14, BOTTOM = 44;
+const WIDTH = 640, HEIGHT = 300, LEFT = 60, RIGHT = 20, TOP = 14, BOTTOM = 58;
 let root, dial, picture, facts, slider, drawn = "", sent = -1;
 
 function scale(front) {
@@ -16,14 +16,15 @@ function scale(front) {
 }
 
 function draw(front, selected) {
+  const size = dial.getBoundingClientRect().width < 450 ? 24 : 15;
   const places = scale(front), [x, y] = places[selected], point = front[selected];
   const label = (text, at, anchor) => svg("text", {x: at[0], y: at[1], fill: "#b9c2cc",
-    "font-size": 14, "text-anchor": anchor}, text);
+    "font-size": size, "text-anchor": anchor}, text);
   const parts = [
     svg("line", {x1: LEFT, y1: HEIGHT - BOTTOM, x2: WIDTH - RIGHT, y2: HEIGHT - BOTTOM,
       stroke: "#4a5563"}),
-    label(time(front[0].wall_s), [LEFT, HEIGHT - 22], "start"),
-    label(time(front.at(-1).wall_s), [WIDTH - RIGHT, HEIGHT - 22], "end"),
+    label(time(front[0].wall_s), [LEFT, HEIGHT - 34], "start"),
+    label(time(front.at(-1).wall_s), [WIDTH - RIGHT, HEIGHT - 34], "end"),
     label("time of the capture", [(LEFT + WIDTH) / 2, HEIGHT - 4], "middle"),
     label(levels(front[0].effective_levels), [LEFT - 8, HEIGHT - BOTTOM], "end"),
     label(levels(front.at(-1).effective_levels), [LEFT - 8, TOP + 16], "end"),

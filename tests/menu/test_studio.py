@@ -1,0 +1,221 @@
+"""The server of the studio: page, state, wishes, pictures of the camera, captures."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from panel_fakes import FakeJob
+
+from camctl.exposure.light import Metering
+from camctl.interface.controls import Layout
+from camctl.menu.app import run
+from camctl.menu.camera_job import CameraJob
+from camctl.menu.ports import Job
+from camctl.menu.studio.panel import StudioPanel
+from camctl.menu.studio.sections import SECTIONS
+from camctl.menu.studio.server import PAGE
+from camctl.menu.studio.sight import Look, Sight, View, rendered
+from camctl.menu.tables import STATES
+from camctl.sim.backend import SimulatedBackend
+from camctl.system.picture_operations import png_pixels
+
+
+class Client:
+    """What a browser sends."""
+
+    def __init__(self, url: str) -> None:
+        self.url = url
+
+    def ask(self, path: str, body: object = None, *, header: bool = True) -> tuple[int, bytes]:
+        """Return (status, content); with a body it is sent by POST."""
+        request = urllib.request.Request(
+            self.url + path,
+            data=None if body is None else json.dumps(body).encode(),
+            headers={"X-Camctl": "1"} if header else {},
+        )
+        try:
+            with urllib.request.urlopen(request, timeout=60) as answer:
+                return answer.status, answer.read()
+        except urllib.error.HTTPError as error:
+            with error:
+                return error.code, error.read()
+
+    def json(self, path: str) -> Any:
+        """Return the answer that is JSON."""
+        status, content = self.ask(path)
+        assert status == 200, content
+        return json.loads(content)
+
+    def until(self, state: str) -> dict[str, Any]:
+        """Return the state of the menu once it is this one."""
+        shown: dict[str, Any] = {"version": 0, "state": ""}
+        while shown.get("state") != state:
+            shown = self.json(f"state?after={shown['version']}")
+        return shown
+
+    def wish(self, **fields: object) -> int:
+        """Send a wish."""
+        return self.ask("wish", fields)[0]
+
+
+Start = Callable[[Callable[[StudioPanel], Job]], tuple[Client, StudioPanel]]
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Return a function that starts a studio with a job."""
+    threads: list[tuple[Client, threading.Thread]] = []
+
+    def begin(make_job: Callable[[StudioPanel], Job]) -> tuple[Client, StudioPanel]:
+        panel = StudioPanel(tmp_path, "0", token="")
+        menu = threading.Thread(target=run, args=(panel, lambda: make_job(panel)), daemon=True)
+        menu.start()
+        while not panel.is_open:
+            time.sleep(0.005)
+        client = Client(panel.url)
+        threads.append((client, menu))
+        return client, panel
+
+    yield begin
+    for client, menu in threads:
+        client.wish(state="menu")
+        client.until("menu")
+        client.wish(seen="menu", action="quit")
+        client.until("confirm")
+        client.wish(seen="confirm", action="quit")
+        menu.join(20)
+        assert not menu.is_alive()
+
+
+def simulated(panel: StudioPanel) -> Job:
+    """Return a job with a small simulated camera."""
+    return CameraJob(
+        lambda _: (SimulatedBackend().open("", {"size": "48x32"}), {}),
+        panel.parent,
+        panel.parent / "menu.json",
+        sight=panel.sight,
+    )
+
+
+def test_each_state_of_the_menu_belongs_to_one_section() -> None:
+    states = [state for section in SECTIONS for state in section.states]
+    assert sorted(states) == sorted(STATES)
+
+
+def test_each_section_has_a_script_that_is_served(start: Start) -> None:
+    client, _ = start(lambda _: FakeJob())
+    assert client.ask("") == (200, PAGE)
+    for name in ("studio.js", "studio.css", *(f"{each.name}.js" for each in SECTIONS)):
+        assert client.ask(f"static/{name}")[0] == 200, name
+    for path in ("static/../panel.py", "static/%2e%2e/panel.py", "static/x.js", "x", "live/x"):
+        assert client.ask(path)[0] == 404, path
+
+
+def test_wishes_lead_through_a_capture_and_its_cancelling(start: Start) -> None:
+    job = FakeJob()
+    client, _ = start(lambda _: job)
+    assert client.until("idle")["camera"]["id"] == "sim"
+    client.wish(state="front")
+    while len(client.until("front")["front"]) < 3:
+        time.sleep(0.005)
+    client.wish(seen="front", index=2, take=True)
+    assert client.until("review")["plan"]["effective_levels"] == 98.4
+    job.frame_may_end.clear()
+    client.wish(seen="review", action="shoot")
+    assert client.until("shooting")["state"] == "shooting"
+    job.frame_started.wait(10)
+    assert client.wish(state="browsing") == 200  # leads nowhere while a capture runs
+    client.wish(seen="shooting", key="exit")
+    assert "stopped after 0 frames" in client.until("cancelled")["error"]
+    assert len(job.shot) == 1
+
+
+def test_other_sites_and_wrong_choices_are_refused(start: Start) -> None:
+    client, _ = start(lambda _: FakeJob())
+    assert client.ask("wish", {"key": "enter"}, header=False)[0] == 403
+    assert client.ask("captures/delete/x", {}, header=False)[0] == 403
+    for wrong in ({"key": "fire"}, {"state": "x"}, {"more": 1}, [1], {"index": "x"}, "x" * 70000):
+        assert client.ask("wish", wrong)[0] in (400, 413), wrong
+
+
+def test_capture_is_taken_looked_at_and_deleted(start: Start, tmp_path: Path) -> None:
+    client, _ = start(simulated)
+    client.until("idle")
+    assert (
+        client.ask("live/picture?width=64&height=64&clip=1&peak=1&at=0.5,0.5")[1][:2] == b"\xff\xd8"
+    )
+    assert client.ask("live/picture?at=nan,2")[0] == 404
+    client.wish(seen="idle", action="shoot")
+    client.until("review")
+    client.wish(seen="review", action="shoot")
+    name = Path(client.until("result")["summary"]["folder"]).name
+    names = {each["name"] for each in client.json(f"captures/files/{name}")}
+    assert {"radiance.exr", "report.json", "preview.png", "frames/frame-01.npy"} <= names
+    status, content = client.ask(f"captures/file/{name}/report.json")
+    assert (status, content) == (200, (tmp_path / name / "report.json").read_bytes())
+    found = client.json(f"captures/light/{name}?x=0.1&y=0.99")
+    assert (found["row"], found["column"]) == (31, 4)
+    assert 0 < found["deviation"][0] < found["light"][0]
+    assert client.ask(f"captures/light/{name}?x=2&y=0")[0] == 400
+    assert client.ask(f"captures/layer/{name}/dark")[1][:4] == b"\x89PNG"
+    assert client.ask(f"captures/small/{name}")[1][:4] == b"\x89PNG"
+    for other in ("..", "x", f"{name}/..", "%2e%2e%2f"):
+        assert client.ask(f"captures/files/{other}")[0] == 404, other
+    assert client.ask(f"captures/file/{name}/../menu.json")[0] == 404
+    assert client.ask(f"captures/delete/{name}", {}) == (200, b"{}")
+    assert not (tmp_path / name).exists()
+
+
+def test_choices_have_pictures_that_differ(start: Start) -> None:
+    client, _ = start(simulated)
+    client.until("idle")
+    client.wish(state="response")
+    costs: list[Any] = []
+    while not costs or None in costs:
+        shown = client.until("response")
+        costs = shown["costs"]
+        time.sleep(0.02)
+    assert all(cost["has_picture"] for cost in costs)
+    pictures = [png_pixels(client.ask(f"look/picture/{place}")[1]) for place in range(2)]
+    assert pictures[0].shape == pictures[1].shape
+    assert pictures[0].mean() > 1.2 * pictures[1].mean()  # log shows the shadows brighter
+    assert client.ask("look/picture/99")[0] == 404
+
+
+def test_picture_at_full_size_is_that_part_and_says_how_sharp_it_is() -> None:
+    codes = np.full((60, 80), 100, np.uint8)
+    codes[:, 40:] = 200
+    codes[10, 10], codes[50, 70] = 255, 0
+    view = View(1, codes, Layout.MONO, {})
+    left = rendered(view, Look(20, 20, (0.1, 0.1)))
+    edge = rendered(view, Look(20, 20, (0.5, 0.5)))
+    assert left[2] > 0
+    assert edge[2] > 10 * rendered(view, Look(20, 20, (0.9, 0.1)))[2]
+
+
+def test_metering_frame_is_kept_with_its_saturated_samples() -> None:
+    with SimulatedBackend().open("", {"size": "48x32"}) as camera:
+        from camctl.interface.camera import PreviewingCamera
+        from camctl.interface.controls import ExposureSetting
+
+        assert isinstance(camera, PreviewingCamera)
+        setting = ExposureSetting(camera.controls.time_s.nearest(0.5))
+        frame = camera.preview(setting)
+        sight = Sight()
+        sight.show_frame(frame, camera.controls, Metering(0.02, setting, 1.0, 0.1, 1))
+        view = sight.wait(0)
+    assert view is not None
+    saturated = frame.pixels >= frame.white
+    assert saturated.any()
+    np.testing.assert_array_equal(view.codes == 255, saturated)
+    assert sum(view.facts["histogram"]) == pytest.approx(1.0)
+    assert view.facts["clipped"] == pytest.approx(saturated.mean(), abs=0.02)
