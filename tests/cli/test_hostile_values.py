@@ -45,6 +45,7 @@ run as root, and a command that replaced a device or a system file would damage 
 
 REFUSED = {
     "menu",
+    "studio",
     "resume",
     "profile export",
     "profile import",
@@ -52,7 +53,8 @@ REFUSED = {
     "profile remove",
     "figures",
 }
-"""Commands whose line in `BASES` is refused: without a terminal, a profile, or a quick figure."""
+"""Commands whose line in `BASES` is refused: without a terminal, an address, a profile, or a quick
+figure."""
 
 NUMERIC = (Number, WholeNumber, Seconds, DynamicRange, FrameSize, ListOf)
 """Types of options that open no files."""

@@ -20,6 +20,7 @@ BASES = {
     "resume": ("nothing",),
     "merge": ("p0.png p1.png p2.png --times 1/8,1/2,2 --curve power:2.222 -o out --force",),
     "menu": ("--scene uniform -O size=16x12",),
+    "studio": ("--scene uniform -O size=16x12 --address nowhere",),
     "cameras": ("",),
     "calibrate all": ("--scene uniform -O size=16x12 --longest 0.01 -O unknown=yes",),
     "calibrate delay": ("--scene uniform -O size=16x12 --trials 2",),
@@ -88,5 +89,5 @@ def write_photographs(folder: Path) -> None:
         assert cv2.imwrite(str(folder / f"p{k}.png"), brightness.astype(np.uint8))
 
 
-ENDLESS = {"live --count"}
-"""Options whose large values mean what they say: the command runs on, so they are only parsed."""
+ENDLESS = {"live --count", "studio --address"}
+"""Options with which a command runs on for as long as it is asked to: they are only parsed."""
