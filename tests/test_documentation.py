@@ -178,7 +178,7 @@ _FILES = {
     "times.txt": (2.0 ** (np.arange(-39, 16) / 3),),
 }
 #: "http" ends with Ctrl-C.
-_NEEDS_A_DEVICE = ("v4l2:", "ptp", "coolpix:", "menu", "calibrate", "--resume", "http")
+_NEEDS_A_DEVICE = ("v4l2:", "ptp", "coolpix:", "menu", "studio", "calibrate", "--resume", "http")
 
 
 #: The page that each command is run for: a study that two pages name takes long enough once.

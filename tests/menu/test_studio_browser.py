@@ -1,0 +1,214 @@
+"""The studio in headless Chromium: a capture, a cancel, a camera unplugged, a reload, contrast."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from panel_fakes import FakeJob
+from ptp_bench import bench
+
+from camctl.errors import CameraDisconnectedError
+from camctl.exposure.goal import CaptureRequest
+from camctl.interface.camera import Camera
+from camctl.menu.app import run
+from camctl.menu.camera_job import CameraJob
+from camctl.menu.ports import Job
+from camctl.menu.studio.panel import StudioPanel
+from camctl.sim.backend import SimulatedBackend
+
+CHROMIUM = shutil.which("chromium")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="apt-get install chromium chromium-driver"),
+]
+SIZES = ((390, 844), (844, 390), (1280, 800))
+WAIT_MS = 30_000
+LEAST_CONTRAST = 4.5  # WCAG 2.2, criterion 1.4.3, level AA
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Return a browser."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with playwright.sync_playwright() as started:
+        opened = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield opened
+        opened.close()
+
+
+Show = Callable[..., Any]
+
+
+@pytest.fixture
+def show(browser: Any, tmp_path: Path) -> Iterator[Show]:
+    """Return a function that shows the studio of a job in a page of a size."""
+    opened: list[Any] = []
+
+    def begin(make_job: Callable[[StudioPanel], Job], size: tuple[int, int] = SIZES[0]) -> Any:
+        panel = StudioPanel(tmp_path, "0", token="")
+        menu = threading.Thread(target=run, args=(panel, lambda: make_job(panel)), daemon=True)
+        menu.start()
+        while not panel.is_open:
+            time.sleep(0.005)
+        page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+        page.set_default_timeout(WAIT_MS)
+        errors: list[Any] = []
+        page.on("pageerror", lambda error: errors.append(error))  # a bound method is refused
+        page.goto(panel.url)
+        opened.append((page, errors))
+        return page
+
+    yield begin
+    for page, errors in opened:
+        assert errors == []
+        page.close()
+
+
+def job_with(open_camera: Callable[[], Camera], **request: Any) -> Callable[[StudioPanel], Job]:
+    """Return what makes a job with a camera."""
+
+    def make(panel: StudioPanel) -> Job:
+        settings, wanted = panel.parent / "menu.json", CaptureRequest(**request)
+        return CameraJob(
+            lambda _: (open_camera(), {}), panel.parent, settings, request=wanted, sight=panel.sight
+        )
+
+    return make
+
+
+def simulated() -> Camera:
+    """Return a small simulated camera."""
+    return SimulatedBackend().open("", {"size": "96x64"})
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_capture_is_taken_judged_and_loaded(
+    show: Show, size: tuple[int, int], tmp_path: Path
+) -> None:
+    page = show(job_with(simulated), size)
+    page.wait_for_selector(".sight img[src]")
+    page.click("[data-action=set]")
+    page.wait_for_selector(".choice:nth-child(4) img")
+    page.click("[data-section=time]")
+    slider = page.wait_for_selector(".dials input")
+    before = page.inner_text(".dials dl")
+    slider.focus()
+    page.keyboard.press("ArrowLeft")
+    assert page.inner_text(".dials dl") != before
+    page.click("[data-take]")
+    page.click("[data-action=shoot]")
+    page.wait_for_selector(".picture")
+    page.focus(".picture")
+    page.keyboard.press("ArrowRight")
+    page.wait_for_selector(".reading:has-text('±')")
+    with page.expect_download() as loaded:
+        page.click("a:has-text('radiance.exr')")
+    (folder,) = tmp_path.glob("capture-*")
+    assert Path(loaded.value.path()).read_bytes() == (folder / "radiance.exr").read_bytes()
+    width = page.evaluate("document.documentElement.scrollWidth")
+    assert width <= size[0]
+    page.click("[data-delete]")
+    assert folder.exists()
+    page.click("[data-delete]")
+    page.wait_for_selector("text=No captures yet")
+    assert not folder.exists()
+
+
+def test_capture_is_taken_with_keys_alone(show: Show) -> None:
+    page = show(job_with(simulated), SIZES[2])
+    page.wait_for_selector("[data-action=shoot]")
+    page.keyboard.press("ArrowRight")
+    page.wait_for_selector("[data-action=shoot].main")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("[data-action=timer]")
+    page.keyboard.press("Enter")
+    page.wait_for_selector(".picture")
+    page.keyboard.press("5")
+    page.keyboard.press("Escape")
+    page.keyboard.press("1")
+    page.wait_for_selector(".sight img[src]")
+
+
+def test_virtual_ptp_body_takes_a_capture(show: Show) -> None:
+    pair = bench(scene="ramp")
+    page = show(job_with(lambda: pair.camera(), spend_shutter=True, base_s=1 / 60))
+    page.click("[data-action=shoot]")
+    page.wait_for_selector("[data-action=timer]")
+    page.click("[data-action=shoot]")
+    page.wait_for_selector(".picture")
+
+
+def test_running_capture_is_seen_after_a_reload_and_cancelled(show: Show) -> None:
+    job = FakeJob()
+    job.frame_may_end.clear()
+    page = show(lambda _: job)
+    page.click("[data-action=shoot]")
+    page.wait_for_selector("[data-action=timer]")
+    page.click("[data-action=shoot]")
+    page.wait_for_selector(".frames .now")
+    page.reload()
+    page.wait_for_selector(".frames .now")
+    page.click("[data-section=captures]")
+    page.click("[data-stop]")
+    page.wait_for_selector("text=stopped after 0 frames")
+    assert len(job.shot) == 1
+
+
+def test_camera_that_is_unplugged_comes_back(show: Show) -> None:
+    def unplug() -> None:
+        raise CameraDisconnectedError("the camera was disconnected", hint="connect it again")
+
+    job = FakeJob()
+    page = show(lambda _: job)
+    page.wait_for_selector("[data-action=shoot]")
+    job.before["meter"] = job.before["open"] = unplug
+    page.wait_for_selector("text=the camera was disconnected")
+    del job.before["meter"], job.before["open"]
+    page.wait_for_selector("[data-action=shoot]")
+
+
+_CONTRASTS = """() => {
+  const channels = text => text.match(/[\\d.]+/g).map(Number);
+  const light = colour => channels(colour).slice(0, 3).map(each => {
+    const share = each / 255;
+    return share <= 0.04045 ? share / 12.92 : ((share + 0.055) / 1.055) ** 2.4;
+  }).reduce((sum, each, at) => sum + each * [0.2126, 0.7152, 0.0722][at], 0);
+  const ground = element => {
+    for (let each = element; each; each = each.parentElement) {
+      const found = channels(getComputedStyle(each).backgroundColor);
+      if (found.length < 4 || found[3] > 0) { return getComputedStyle(each).backgroundColor; }
+    }
+    return "rgb(255, 255, 255)";
+  };
+  return [...document.querySelectorAll("body *")].filter(each => each.checkVisibility()
+    && [...each.childNodes].some(node => node.nodeType === 3 && node.textContent.trim()))
+    .map(each => {
+      const style = getComputedStyle(each);
+      const text = light(each instanceof SVGElement ? style.fill : style.color);
+      const [low, high] = [text, light(ground(each))].sort((a, b) => a - b);
+      return [(high + 0.05) / (low + 0.05), each.tagName, each.textContent.slice(0, 40)];
+    });
+}"""
+
+
+def test_all_text_has_the_contrast_that_wcag_asks_for(show: Show) -> None:
+    page = show(job_with(simulated), SIZES[2])
+    page.wait_for_selector(".sight img[src]")
+    for leave, arrived in (
+        ("[data-action=set]", ".choice:nth-child(4) img"),
+        ("[data-section=time]", ".dial text"),
+        ("[data-take]", "[data-action=timer]"),
+        ("[data-action=shoot]", ".picture"),
+        ("[data-section=settings]", "[data-entry]"),
+    ):
+        found = page.evaluate(_CONTRASTS)
+        assert len(found) > 5
+        assert [each for each in found if each[0] < LEAST_CONTRAST] == []
+        page.click(leave)
+        page.wait_for_selector(arrived)
