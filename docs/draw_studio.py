@@ -2,7 +2,7 @@
 
     python docs/draw_studio.py [FOLDER]
 
-Writes docs/pictures/studio-VIEW-WIDTHxHEIGHT.png, or into FOLDER.  It needs Playwright and
+Writes docs/pictures/studio/VIEW-WIDTHxHEIGHT.jpg, or into FOLDER.  It needs Playwright and
 Chromium, and uses the simulated camera.
 """
 
@@ -19,6 +19,7 @@ from typing import Any
 
 from playwright.sync_api import sync_playwright
 
+QUALITY = 80  # of the JPEG files, 1 to 100
 SIZES = ((390, 844), (844, 390), (1280, 800))
 
 
@@ -92,7 +93,9 @@ def main(target: Path) -> None:
                 page.goto(url)
 
                 def take(view: str, page: Any = page, size: str = f"{width}x{height}") -> None:
-                    page.screenshot(path=target / f"studio-{view}-{size}.png")
+                    page.screenshot(
+                        path=target / f"{view}-{size}.jpg", type="jpeg", quality=QUALITY
+                    )
 
                 tour(page, take)
                 page.close()
@@ -100,4 +103,4 @@ def main(target: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "pictures")
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "pictures" / "studio")

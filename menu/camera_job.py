@@ -23,7 +23,7 @@ from camctl.errors import (
 )
 from camctl.exposure.goal import AUTO, CaptureRequest
 from camctl.interface.backends import list_cameras
-from camctl.interface.camera import Camera, Frame, PreviewingCamera
+from camctl.interface.camera import Camera, CameraCondition, Frame, PreviewingCamera, StatingCamera
 from camctl.interface.controls import ExposureSetting
 from camctl.menu.capture_list import list_captures, next_folder
 from camctl.menu.data import (
@@ -97,6 +97,7 @@ class CameraJob:
         self._source: Mapping[str, Any] = {}
         self._camera_id = ""
         self._entry = CameraEntry("", "")
+        self._condition = CameraCondition()
         self._sight = sight
         self._previewed: PreviewedLight | None = None
         self._previewed_until_s = -math.inf
@@ -121,8 +122,16 @@ class CameraJob:
         self._camera_id = camera_id
         self._camera, self._source = self._open_camera(camera_id)
         self._entry = entry_of(self._camera.info)
+        self._ask_condition()
         return_free_memory()
         return self._entry
+
+    def _ask_condition(self) -> None:
+        """Ask for battery and card: not between captures, since a body is left in peace then."""
+        self._condition = CameraCondition()
+        if isinstance(self._camera, StatingCamera):
+            with suppress(CameraError):
+                self._condition = self._camera.condition()
 
     def close(self) -> None:
         """Close the camera; errors of one that was unplugged are left out."""
@@ -160,7 +169,12 @@ class CameraJob:
         return self._with_camera(self._reading, keeps_view=True)
 
     def _reading(self, camera: Camera) -> Reading:
-        reading = Reading(free_bytes=self._free_bytes(), camera=self._entry)
+        reading = Reading(
+            free_bytes=self._free_bytes(),
+            camera=self._entry,
+            battery_percent=self._condition.battery_percent,
+            free_images=self._condition.free_images,
+        )
         if not isinstance(camera, PreviewingCamera):
             return replace(reading, is_late=True)
         if self._view.suits(camera, self._request):
@@ -324,6 +338,7 @@ class CameraJob:
             )
 
         summary = summary_view(self._with_camera(shoot_with), folder)
+        self._ask_condition()
         return_free_memory()
         return summary
 

@@ -126,6 +126,8 @@ class Reading:
         is_late: it has no preview, and the light is metered when the capture is planned
         remark: why the light cannot be measured; "" where it can
         rate: pictures a second of the effective camera, live; None: it is a metering frame
+        battery_percent, free_images: charge of the camera's battery, and room on its card, after
+            it was opened or took pictures; None: it does not state them
     """
 
     time_s: float = 0.0
@@ -137,6 +139,8 @@ class Reading:
     is_late: bool = False
     remark: str = ""
     rate: float | None = None
+    battery_percent: int | None = None
+    free_images: int | None = None
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -103,13 +104,12 @@ class LiveView:
             edges = np.linspace(-_STOPS, 0, BINS + 1)
             stops = np.clip(np.log2(np.maximum(seen.irradiance, 1e-12)), edges[0], edges[-1])
             counts, _ = np.histogram(stops, edges, weights=seen.shares)
-            return Reading(
+            return replace(
+                reading,
                 time_s=min(each.time_s for each in result.plan.settings),
                 clipped=seen.clipped,
                 histogram=tuple(counts.tolist()),
                 picture=_picture(result),
-                free_bytes=reading.free_bytes,
-                camera=reading.camera,
                 rate=self._rate(),
             )
 

@@ -216,6 +216,27 @@ class MeasuredDelay:
     readout_s: float = 0.0
 
 
+@dataclass(frozen=True)
+class CameraCondition:
+    """What a camera states of itself before it shoots; None: it does not.
+
+    Attributes:
+        battery_percent: charge of its battery
+        free_images: pictures for which its card has room
+    """
+
+    battery_percent: int | None = None
+    free_images: int | None = None
+
+
+@runtime_checkable
+class StatingCamera(Camera, Protocol):
+    """A camera that states its battery and its card."""
+
+    def condition(self) -> CameraCondition:
+        """Return what the camera states now; raises `CameraError` where it does not answer."""
+
+
 def use_delay(camera: Camera, delay: MeasuredDelay | None) -> bool:
     """Let a camera use a measured control delay from now on; return whether it can.
 

@@ -20,10 +20,12 @@ from camctl.drivers.ptp.properties import Properties, unsupported_ignored
 from camctl.drivers.ptp.session import Session
 from camctl.drivers.ptp.transport import CAPTURE_S
 from camctl.errors import CameraBusyError, CameraError, CameraProtocolError
+from camctl.interface.camera import CameraCondition
 from camctl.interface.clock import cancelled_by
 
 # Below this charge a camera that takes no picture probably lacks power, per cent.
 _LOW_BATTERY_PERCENT = 5
+_UNKNOWN_NUMBER = 0xFFFFFFFF  # FreeSpaceInImages that is not stated: ISO 15740, section 5.5.3
 # Time-out of further events after the first: those that are already there.
 _NEXT_EVENT_S = 0.001
 # New objects; makers give one number different meanings.
@@ -378,6 +380,15 @@ class Body:
             return self.session.handles(busy_s=0)
         except CameraBusyError:
             return None
+
+    def condition(self) -> CameraCondition:
+        """Return the charge of the battery and the room on the cards, as far as it states them."""
+        stores: tuple[StorageInfo, ...] = ()
+        if Op.GET_STORAGE_IDS in self.session.info.operations:
+            with suppress(CameraProtocolError):
+                stores = self.session.stores()
+        rooms = [store.free_images for store in stores if store.free_images != _UNKNOWN_NUMBER]
+        return CameraCondition(self.properties.battery_percent(), sum(rooms) if rooms else None)
 
     def check_card(self) -> str | None:
         """Return a note if the cards say that they are read-only; the release will show it.

@@ -31,7 +31,7 @@ from camctl.drivers.ptp.still_formats import (
 from camctl.drivers.ptp.transport import CAPTURE_S, NORMAL_S, Transport
 from camctl.drivers.ptp.usb_transport import UsbTransport
 from camctl.errors import CameraError, CameraProtocolError, UsageError
-from camctl.interface.camera import CameraInfo, Frame
+from camctl.interface.camera import CameraCondition, CameraInfo, Frame
 from camctl.interface.clock import Clock, RealClock
 from camctl.interface.controls import Choices, Control, ExposureSetting, Steps
 from camctl.stills.decoding import Still, read_still
@@ -116,6 +116,11 @@ class PtpCamera(StillCamera):
         """Return the connection to the camera, whose name is then known."""
         self._name = device_name(self._device)
         return UsbTransport(self._device, self._name, self._clock)
+
+    def condition(self) -> CameraCondition:
+        """Return the charge of the battery and the room on the cards."""
+        self._check_ready()
+        return self._body.condition()
 
     def _close(self) -> None:
         with self._closing, suppress(CameraError):

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from panel_fakes import FakeJob
+from ptp_bench import bench
 
 from camctl.exposure.light import Metering
 from camctl.interface.controls import Layout
@@ -26,6 +27,7 @@ from camctl.menu.studio.server import PAGE
 from camctl.menu.studio.sight import Look, Sight, View, rendered
 from camctl.menu.tables import STATES
 from camctl.sim.backend import SimulatedBackend
+from camctl.sim.devices.ptp.properties import CHARGE
 from camctl.system.picture_operations import png_pixels
 
 
@@ -173,6 +175,19 @@ def test_capture_is_taken_looked_at_and_deleted(start: Start, tmp_path: Path) ->
     assert client.ask(f"captures/file/{name}/../menu.json")[0] == 404
     assert client.ask(f"captures/delete/{name}", {}) == (200, b"{}")
     assert not (tmp_path / name).exists()
+
+
+def test_battery_and_card_are_shown_where_the_camera_states_them(start: Start) -> None:
+    pair = bench(vendor="sony")
+
+    def job(panel: StudioPanel) -> Job:
+        return CameraJob(lambda _: (pair.camera(), {}), panel.parent, panel.parent / "menu.json")
+
+    client, _ = start(job)
+    shown = client.until("idle")
+    while shown["reading"] is None:
+        shown = client.json(f"state?after={shown['version']}")
+    assert (shown["reading"]["battery_percent"], shown["reading"]["free_images"]) == (CHARGE, 999)
 
 
 def test_choices_have_pictures_that_differ(start: Start) -> None:

@@ -125,9 +125,12 @@ async function show(state) {
   showBar(state);
   find("title").textContent = state.title;
   find("camera").textContent = state.camera ? state.camera.name : "";
-  const free = state.reading ? state.reading.free_bytes : 0;
-  find("facts").textContent = [...(state.facts || []),
-    free ? (free / 1e9).toPrecision(3) + " GB free" : ""].filter(each => each).join(", ");
+  const {free_bytes: free = 0, battery_percent: battery, free_images: images} = state.reading || {};
+  find("facts").textContent = [
+    typeof battery === "number" ? `battery ${battery} %` : "",
+    typeof images === "number" ? `${images} pictures on the card` : "",
+    free ? (free / 1e9).toPrecision(3) + " GB free" : "",
+  ].filter(each => each).join(", ");
   const own = sectionOf(state);
   const open = state.sections.find(each => each.name === (studio.section || wanted));
   wanted = "";

@@ -89,23 +89,24 @@ function showDial(state) {
     });
     dial.addEventListener("pointermove", drag);
     sent = state.selected;
-    root.replaceChildren(tabs(state), h("div", {class: "dials"},
+    const take = () => choose({index: Number(slider.value), take: true});
+    root.replaceChildren(tabs(state, take), h("div", {class: "dials"},
       h("div", {class: "card"}, dial, slider, h("p", {class: "pale"},
         "Drag, or use the arrow keys. Green: recommended.")),
-      h("div", {class: "card"}, picture, facts,
-        h("div", {class: "buttons"}, h("button", {class: "main", "data-take": true,
-          onclick: () => choose({index: Number(slider.value), take: true})}, "Plan this")))));
+      h("div", {class: "card"}, picture, facts)));
   }
   // What this page has just chosen is already shown.
   const own = document.activeElement === slider || dial.matches(":active");
   move(front, own ? Number(slider.value) : (sent = state.selected), key);
 }
 
-function tabs(state) {
+/* The ways to decide, and the button that plans what is selected. */
+function tabs(state, take) {
   return h("div", {class: "buttons", role: "group", "aria-label": "what decides"},
     [["front", "Time / accuracy"], ["exposures", "Number"], ["budget", "Time budget"]].map(
       ([name, title]) => h("button", {"aria-pressed": String(state.state === name),
-        onclick: () => wish({state: name})}, title)));
+        onclick: () => wish({state: name})}, title)),
+    take ? h("button", {class: "main next", "data-take": true, onclick: take}, "Next: plan") : null);
 }
 
 export default {
@@ -123,10 +124,8 @@ export default {
         "data-entry": place, onclick: () => choose({index: place, take: Boolean(leads)})},
       h("strong", {}, text), h("span", {class: "pale"}, words));
     });
-    root.replaceChildren(tabs(state),
-      ...(state.lines.length ? [h("div", {class: "rows"}, list),
-        h("div", {class: "buttons"}, h("button", {class: "main", "data-take": true,
-          onclick: () => choose({key: "enter"})}, "Plan this"))] : []),
+    root.replaceChildren(tabs(state, state.lines.length ? () => choose({key: "enter"}) : null),
+      h("div", {class: "rows"}, list),
       h("p", {class: "pale"}, state.detail),
       ...state.paragraphs.map(text => h("p", {}, text)));
     if (focused !== undefined) { root.querySelector(`[data-entry="${focused}"]`)?.focus(); }
