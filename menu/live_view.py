@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from camctl.exposure.goal import AUTO, CaptureRequest
-from camctl.exposure.light import Metering
+from camctl.exposure.light import Metering, counts_in_stops
 from camctl.interface.camera import Camera, Frame
 from camctl.interface.clock import VirtualClock
 from camctl.interface.controls import ExposureControls
@@ -24,6 +24,7 @@ from camctl.menu.data import Picture, Reading
 from camctl.menu.thumbnails import BINS, COLUMNS, ROWS
 
 if TYPE_CHECKING:  # a camera that does not stream does not load it
+    from camctl.livestream.following import Look
     from camctl.livestream.result import LiveResult
     from camctl.livestream.stream import Live
 
@@ -44,8 +45,8 @@ class Sight(Protocol):
     def show_frame(self, frame: Frame, controls: ExposureControls, metered: Metering) -> None:
         """Take a metering frame."""
 
-    def show_result(self, result: LiveResult, controls: ExposureControls) -> None:
-        """Take a picture of the effective camera."""
+    def show_result(self, result: LiveResult, seen: Look, controls: ExposureControls) -> None:
+        """Take a picture of the effective camera, and the light that it shows."""
 
 
 class LiveView:
@@ -98,12 +99,11 @@ class LiveView:
             self._timer = threading.Timer(_UNSEEN_S, self.end)
             self._timer.daemon = True
             self._timer.start()
-            if self._sight is not None:
-                self._sight.show_result(result, camera.controls)
             seen = Look.at(result.sum, result.layout, result.tables)
+            if self._sight is not None:
+                self._sight.show_result(result, seen, camera.controls)
             edges = np.linspace(-_STOPS, 0, BINS + 1)
-            stops = np.clip(np.log2(np.maximum(seen.irradiance, 1e-12)), edges[0], edges[-1])
-            counts, _ = np.histogram(stops, edges, weights=seen.shares)
+            counts = counts_in_stops(seen.irradiance, seen.shares, edges)
             return replace(
                 reading,
                 time_s=min(each.time_s for each in result.plan.settings),

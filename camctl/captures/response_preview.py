@@ -26,7 +26,7 @@ from camctl.exposure.search.settings import relative_exposures
 from camctl.interface.camera import Camera, Frame, PreviewingCamera
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.effective import EffectiveCamera
-from camctl.model.inverse import posterior_of
+from camctl.model.inverse import Posterior, posterior_of
 from camctl.model.response.desired import desired_response
 from camctl.model.response.names import RESPONSES
 from camctl.pictures.accumulator import Accumulator
@@ -143,12 +143,9 @@ class PreviewedLight:
 
     def panel(self, name: str, plan: CapturePlan) -> Panel:
         """Return what a capture by `plan` would make of the light."""
-        light, controls = self.light, self.controls
-        camera = EffectiveCamera.of(controls.levels, relative_exposures(plan.settings))
-        posterior = posterior_of(camera, plan.desired, controls.frame_noise(plan.settings))
+        light = self.light
+        posterior, _, sums = self._sums(plan)
         table, inverse = Tables.of(posterior), posterior.inverse
-        E = light.irradiance * np.float32(plan.settings[0].exposure / self.exposure)
-        sums = posterior.sum.black + np.searchsorted(camera.levels, E, side="right")
         irradiance, mask = inverse.E.astype(np.float32)[sums], table.mask[sums]
         noise = np.minimum(inverse.deviation[sums] / irradiance, 1.0).astype(np.float32)
         white = light.white.copy()
@@ -176,15 +173,19 @@ class PreviewedLight:
             saturated=float((mask == SATURATED).mean()) if metered is None else metered.clips,
         )
 
+    def _sums(self, plan: CapturePlan) -> tuple[Posterior, NDArray[np.float32], NDArray[np.intp]]:
+        """Return the posterior of a plan, the light for it, and the sums without noise."""
+        camera = EffectiveCamera.of(self.controls.levels, relative_exposures(plan.settings))
+        posterior = posterior_of(camera, plan.desired, self.controls.frame_noise(plan.settings))
+        E = self.light.irradiance * np.float32(plan.settings[0].exposure / self.exposure)
+        return posterior, E, posterior.sum.black + np.searchsorted(camera.levels, E, side="right")
+
     def noisy_picture(self, plan: CapturePlan) -> NDArray[np.uint8]:
         """Return the picture in the desired response with the noise of one capture by `plan`.
 
         The shape is that of the light, (rows, columns, channels), sRGB as image.tiff.
         """
-        camera = EffectiveCamera.of(self.controls.levels, relative_exposures(plan.settings))
-        posterior = posterior_of(camera, plan.desired, self.controls.frame_noise(plan.settings))
-        E = self.light.irradiance * np.float32(plan.settings[0].exposure / self.exposure)
-        sums = posterior.sum.black + np.searchsorted(camera.levels, E, side="right")
+        posterior, E, sums = self._sums(plan)
         noise = np.random.default_rng(0).standard_normal(E.shape, np.float32)
         E = np.clip(E + posterior.inverse.deviation[sums] * noise, 0.0, 1.0)
         return (255 * plan.desired.u(E) + 0.5).astype(np.uint8)

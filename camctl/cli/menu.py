@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
     from camctl.interface.camera import Camera
+    from camctl.menu.live_view import Sight
     from camctl.menu.ports import Job, Panel
 
 # As in `camctl.interface.backends`, which imports numpy.
@@ -85,12 +86,11 @@ def run_menu(
     request: RequestOptions,
     parent: Path,
     settings: Path | None,
-    **more: Any,
+    sight: Sight | None = None,
 ) -> None:
     """Run the menu on a panel, and print where the last picture is.
 
-    What is wrong with the command line is reported before the panel is made; `more` is for
-    `camctl.menu.camera_job.CameraJob`.
+    What is wrong with the command line is reported before the panel is made.
     """
     from camctl.menu.app import run
     from camctl.profiles import calibrated
@@ -104,7 +104,7 @@ def run_menu(
         from camctl.menu.camera_job import CameraJob
 
         wanted = request.request()
-        return CameraJob(open_camera, parent, _settings_path(settings), request=wanted, **more)
+        return CameraJob(open_camera, parent, _settings_path(settings), request=wanted, sight=sight)
 
     camera.source()
     _entry_point("camera", CAMERAS, camera.camera_id.partition(":")[0])

@@ -44,6 +44,10 @@ _LEAST_UNSEEN_STOPS, _MOST_UNSEEN_STOPS = 1.0, 4.0
 #: The range is larger than what it must hold by this factor, for the noise of the metering.
 _MARGIN = 1.05
 
+SHOWN_STOPS: FloatArray = np.arange(-64, 5) / 4
+"""Edges of the histograms that pages show, in stops above saturation of the shortest exposure: 16
+stops below it to one above, four bins a stop."""
+
 
 @dataclass(frozen=True)
 class Metering:
@@ -204,3 +208,15 @@ class Light:
     def needed_range(self, upper_end: float) -> float:
         """Return the range from `upper_end` down to the shadows, with a margin for noise."""
         return _MARGIN * upper_end / self.shadows
+
+
+def counts_in_stops(irradiance: FloatArray, weights: FloatArray, edges: FloatArray) -> FloatArray:
+    """Return the sum of the weights in each bin of a histogram over log2 of the irradiance.
+
+    Args:
+        irradiance: (K,); what is beyond the edges counts in the first or the last bin
+        weights: (K,), such as numbers of samples
+        edges: (N + 1,) ascending, stops
+    """
+    stops = np.clip(np.log2(np.maximum(irradiance, 1e-12)), edges[0], edges[-1])
+    return np.asarray(np.histogram(stops, edges, weights=weights)[0])

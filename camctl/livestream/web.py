@@ -6,7 +6,6 @@ Without a token the server listens on the loopback interface only, as the panel 
 from __future__ import annotations
 
 import json
-import os
 import threading
 from collections import deque
 from http import HTTPStatus
@@ -15,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
+from camctl.exposure.light import SHOWN_STOPS, counts_in_stops
 from camctl.interface.controls import ExposureControls
 from camctl.livestream.display import Display
 from camctl.livestream.following import Look
 from camctl.livestream.result import LiveResult
 from camctl.livestream.stream import Live
 from camctl.messages.plain import sentence
-from camctl.system.picture_operations import required_opencv
+from camctl.system.picture_operations import jpeg, required_opencv
 from camctl.system.web_server import DEFAULT_PORT, Site, SiteHandler
 
 TOKEN_VARIABLE = "CAMCTL_LIVE_TOKEN"
@@ -34,8 +34,6 @@ PAGE_PIXELS = 1280
 _QUALITY = 85
 #: How long a reader waits for the next picture before it sends the last one again, s.
 _SILENCE_S = 5.0
-#: The histogram goes from so many stops below the saturation of the shortest exposure to one above.
-_STOPS_BELOW, _BINS_PER_STOP = 16, 4
 #: Results whose rate is stated.
 _RATED = 30
 
@@ -61,9 +59,7 @@ class WebOutput:
         display: Display | None = None,
         token: str | None = None,
     ) -> None:
-        self._cv2 = required_opencv("a live picture in a page")
-        if token is None:
-            token = os.environ.get(TOKEN_VARIABLE, "")
+        required_opencv("a live picture in a page")
         self._live = live
         self._display = display or Display(most=PAGE_PIXELS)
         self._times: deque[float] = deque(maxlen=_RATED)
@@ -80,20 +76,14 @@ class WebOutput:
     def write(self, result: LiveResult) -> None:
         """Show a result; the picture is compressed only where somebody looks."""
         self._times.append(result.time_s)
-        jpeg = b""
+        data = b""
         if self.viewers or not self.jpeg:
-            picture = self._display.picture(result)
-            if picture.ndim == 3:
-                picture = np.ascontiguousarray(picture[..., ::-1])
-            _, data = self._cv2.imencode(
-                ".jpg", picture, [self._cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
-            )
-            jpeg = bytes(data)
+            data = jpeg(self._display.picture(result), _QUALITY)
         with self.changed:
             self._numbers = self._state(result)
-            if jpeg:
+            if data:
                 self.version += 1
-                self.jpeg = jpeg
+                self.jpeg = data
                 self.changed.notify_all()
 
     def close(self) -> None:
@@ -111,9 +101,7 @@ class WebOutput:
     def _state(self, result: LiveResult) -> dict[str, Any]:
         controls = self._live.controls
         seen = Look.at(result.sum, result.layout, result.tables)
-        edges = np.arange(-_STOPS_BELOW * _BINS_PER_STOP, _BINS_PER_STOP + 1) / _BINS_PER_STOP
-        stops = np.clip(np.log2(np.maximum(seen.irradiance, 1e-12)), edges[0], edges[-1])
-        counts, _ = np.histogram(stops, edges, weights=seen.shares)
+        counts = counts_in_stops(seen.irradiance, seen.shares, SHOWN_STOPS)
         span = self._times[-1] - self._times[0]
         desired = result.plan.desired
         return {
@@ -123,10 +111,10 @@ class WebOutput:
             "latency_s": result.latency_s,
             "response": result.plan.response,
             "dynamic_range": result.plan.dynamic_range,
-            "first_stop": float(edges[0]),
-            "last_stop": float(edges[-1]),
+            "first_stop": float(SHOWN_STOPS[0]),
+            "last_stop": float(SHOWN_STOPS[-1]),
             "histogram": counts.tolist(),
-            "range_stops": [float(np.log2(max(desired.e_min, 2.0**-_STOPS_BELOW))), 0.0],
+            "range_stops": [float(np.log2(max(desired.e_min, 2.0 ** SHOWN_STOPS[0]))), 0.0],
             "dark": seen.dark,
             "clipped": seen.clipped,
             "exposures": _exposures(result, controls),

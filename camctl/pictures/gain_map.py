@@ -26,6 +26,7 @@ from camctl.model.response.camera import srgb_to_linear
 from camctl.pictures.details import PictureDetails
 from camctl.pictures.metadata import exif_block
 from camctl.pictures.preview import Renditions
+from camctl.system.picture_operations import jpeg
 
 #: The brightest light that is written, in stops above the white of a preview: 10,000 cd/m2, the
 #: most that PQ has (SMPTE ST 2084), for a white of 203 cd/m2 (ITU-R BT.2408).
@@ -91,11 +92,12 @@ def picture_with_gain_map(
     """
     channels = renditions.light.shape[2]
     # libultrahdr takes no grey base, but a grey gain map.
-    base = _jpeg(cv2, np.dstack((renditions.codes,) * (3 // channels)), _QUALITY)
+    base = jpeg(np.dstack((renditions.codes,) * (3 // channels)), _QUALITY, full_colour=True)
     shown = _decoded(cv2, base)[..., :channels]
     linear = srgb_to_linear(shown / np.float32(255)).astype(np.float32)
     gains, codes = _gain_map(linear, renditions.light)
-    coded = _jpeg(cv2, codes[..., 0] if codes.shape[-1] == 1 else codes, _GAIN_QUALITY)
+    grey = codes[..., 0] if codes.shape[-1] == 1 else codes
+    coded = jpeg(grey, _GAIN_QUALITY, full_colour=True)
     gain_map = _with_segments(
         coded, [(_APP1, _XMP + _xmp_of_gains(gains)), (_APP2, _ISO + _iso_metadata(gains))]
     )
@@ -126,14 +128,6 @@ def _gain_map(
     brightest = min(max(float(light.max()), 1.0), 2.0**MOST_STOPS)
     headroom = max(math.log2(brightest), _LEAST_RANGE)
     return _Gains(least, most, headroom), np.rint(gains).astype(np.uint8)
-
-
-def _jpeg(cv2: ModuleType, picture: NDArray[np.uint8], quality: int) -> bytes:
-    """Return a picture as JPEG, colour for each pixel."""
-    swapped = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR) if picture.ndim == 3 else picture
-    full_colour = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
-    _, data = cv2.imencode(".jpg", swapped, [cv2.IMWRITE_JPEG_QUALITY, quality, *full_colour])
-    return bytes(data.tobytes())
 
 
 def _decoded(cv2: ModuleType, data: bytes) -> NDArray[Any]:

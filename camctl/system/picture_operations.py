@@ -81,6 +81,24 @@ def png(picture: NDArray[Any], level: int = 1) -> bytes:
     )
 
 
+def jpeg(picture: NDArray[np.uint8], quality: int, *, full_colour: bool = False) -> bytes:
+    """Return a picture as a JPEG file: (rows, columns) or RGB (rows, columns, 3).
+
+    Args:
+        picture: the picture
+        quality: 1 to 100
+        full_colour: whether each pixel has its own colour, not each 2 x 2
+
+    Raises:
+        UsageError: OpenCV is not installed
+    """
+    cv2 = required_opencv("a JPEG file")
+    swapped = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR) if picture.ndim == 3 else picture
+    sampling = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
+    options = [cv2.IMWRITE_JPEG_QUALITY, quality, *(sampling if full_colour else ())]
+    return bytes(cv2.imencode(".jpg", swapped, options)[1])
+
+
 def png_pixels(data: bytes | bytearray) -> NDArray[np.uint8]:
     """Return the samples of a PNG file that `png` has made of 8 bits; other chunks are left out.
 

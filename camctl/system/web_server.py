@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hmac
 import ipaddress
+import os
 import re
 import socket
 import sys
@@ -17,7 +18,7 @@ from hashlib import sha256
 from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any, Self
+from typing import Any, BinaryIO, Self
 from urllib.parse import SplitResult, parse_qs, quote, unquote, urlsplit
 
 from camctl.errors import UsageError
@@ -33,6 +34,9 @@ _GUESS_S = 0.5
 
 MOST_CONNECTIONS = 32
 """A browser opens six connections at most; a new one ends the one that is silent for longest."""
+
+_PART_BYTES = 1 << 20
+"""Bytes of a file that are read at a time."""
 
 
 class LimitedServer(ThreadingHTTPServer):
@@ -81,19 +85,21 @@ class Site:
 
     Attributes:
         address: ``PORT`` or ``HOST:PORT``
-        token: what a browser must know; "": only this computer may see it
+        token: what a browser must know; "": only this computer may see it; None: what the
+            environment variable has
         variable: of the environment, in which the token is set
         name: what its port follows where it is given: ``web:`` in ``web:8080``
         what: the server in messages
         page: the page whose scripts and styles may run; others may not
-        has_files: scripts and styles that the server sends as files may run, too
+        has_files: scripts and styles that the server sends as files may run, too, and scripts may
+            make pictures
 
     Raises:
         UsageError: an invalid address, or a host that others reach without a token
     """
 
     address: str
-    token: str
+    token: str | None
     variable: str
     name: str
     what: str
@@ -104,6 +110,8 @@ class Site:
     headers: dict[str, str] = field(init=False)
 
     def __post_init__(self) -> None:
+        if self.token is None:
+            self.token = os.environ.get(self.variable, "")
         found = _ADDRESS.fullmatch(self.address)
         if found is None or int(found["port"]) > 65535:
             raise UsageError(
@@ -148,7 +156,7 @@ class Site:
         except OSError as error:
             raise UsageError(
                 f"cannot listen on {self.host}:{self.port}: {error.strerror}",
-                hint=f"choose another port with {self.name}:PORT",
+                hint=f"choose another port with {self.name}PORT",
             ) from error
         threading.Thread(
             target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True
@@ -188,8 +196,8 @@ def _headers(page: bytes, *, has_files: bool) -> dict[str, str]:
         "Cache-Control": "no-store",
         "Content-Security-Policy": (
             f"default-src 'none'; script-src {hashes(b'script')}; style-src {hashes(b'style')}; "
-            "img-src data: blob: 'self'; connect-src 'self'; frame-ancestors 'none'; "
-            "base-uri 'none'; form-action 'none'"
+            f"img-src data: {'blob: ' if has_files else ''}'self'; connect-src 'self'; "
+            "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
         ),
         "Referrer-Policy": "no-referrer",
         "X-Content-Type-Options": "nosniff",
@@ -236,6 +244,22 @@ class SiteHandler(BaseHTTPRequestHandler):
         self.refuse(HTTPStatus.FORBIDDEN, "open the page by the address 127.0.0.1")
         return False
 
+    def is_from_page(self, reason: str) -> bool:
+        """Return whether the page itself sent the request; else it is refused with `reason`.
+
+        Pages of other sites cannot send this header without being allowed to.
+        """
+        if self.headers.get("X-Camctl") is not None:
+            return True
+        self.refuse(HTTPStatus.FORBIDDEN, reason)
+        return False
+
+    @property
+    def known_version(self) -> int:
+        """The version that the browser has, ``?after=VERSION``; 0: none."""
+        after = parse_qs(self.url.query).get("after", [""])[0]
+        return int(after) if re.fullmatch(r"\d{1,18}", after, re.ASCII) else 0
+
     def _cookie(self) -> str:
         try:
             found = SimpleCookie(self.headers.get("Cookie", "")).get(_COOKIE)
@@ -249,6 +273,18 @@ class SiteHandler(BaseHTTPRequestHandler):
         """Send data of a media type."""
         self.send_head(kind, len(data), status, close=close)
         self.wfile.write(data)
+
+    def send_file(
+        self, file: BinaryIO, kind: str, *, more: Mapping[str, str] | None = None
+    ) -> None:
+        """Send an open file of a media type."""
+        # A file that grows meanwhile must not be mixed with the next answer.
+        left = os.fstat(file.fileno()).st_size
+        self.send_head(kind, left, more=more)
+        while left and (part := file.read(min(left, _PART_BYTES))):
+            self.wfile.write(part)
+            left -= len(part)
+        self.close_connection |= left > 0
 
     def send_head(
         self,

@@ -7,21 +7,17 @@ environment variable CAMCTL_MENU_TOKEN, and given once as ``http://HOST:PORT/?to
 from __future__ import annotations
 
 import json
-import os
 import queue
-import re
-import sys
-import threading
 from base64 import b64encode
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any, Self
-from urllib.parse import parse_qs, unquote
+from urllib.parse import unquote
 
 from camctl.menu.drawing import draw
 from camctl.menu.layout import grid
+from camctl.menu.page_panel import PagePanel
 from camctl.menu.ports import Key, Screen
-from camctl.system.interrupts import uninterrupted
 from camctl.system.picture_operations import png
 from camctl.system.web_server import DEFAULT_PORT, Site, SiteHandler
 
@@ -30,8 +26,6 @@ SIZE = (640, 480)
 TOKEN_VARIABLE = "CAMCTL_MENU_TOKEN"
 
 _PAGE = Path(__file__).with_name("web.html").read_bytes()
-_POLL_S = 20.0
-"""A request for the next screen is answered after this time, s, even if it is the same."""
 _KEYS = {key.name.lower(): key for key in Key}
 _KINDS = {
     ".exr": "image/x-exr",
@@ -41,11 +35,8 @@ _KINDS = {
 }
 """Files of a capture that are handed over, by suffix, and their media types."""
 
-_PART_BYTES = 1 << 20
-"""Bytes of a file that are read at a time."""
 
-
-class WebPanel:
+class WebPanel(PagePanel):
     """The panel; a context manager that serves the page while it is open.
 
     Args:
@@ -54,35 +45,16 @@ class WebPanel:
     """
 
     def __init__(self, address: str = str(DEFAULT_PORT), *, token: str | None = None) -> None:
-        if token is None:
-            token = os.environ.get(TOKEN_VARIABLE, "")
-        self._site = Site(address, token, TOKEN_VARIABLE, "web:", "the panel web", _PAGE)
+        super().__init__(Site(address, token, TOKEN_VARIABLE, "web:", "the panel web", _PAGE))
         self.keys: queue.Queue[Key] = queue.Queue(64)
-        self.changed = threading.Condition()
-        self.version = 0
         self._screen: Screen | None = None
         self._picture = b""
         self._result: Path | None = None
-        self.is_open = False
-
-    @property
-    def url(self) -> str:
-        return self._site.url
 
     def __enter__(self) -> Self:
         """Start the server and return the panel; raises `UsageError` where it cannot listen."""
-        self._site.start(_Handler, server_panel=self)
-        self.is_open = True
-        print(f"the menu is at {self._site.shown_url}", file=sys.stderr, flush=True)
+        self._open("the menu", _Handler, server_panel=self)
         return self
-
-    @uninterrupted
-    def __exit__(self, *_: object) -> None:
-        """Stop the server."""
-        self.is_open = False
-        with self.changed:
-            self.changed.notify_all()
-        self._site.stop()
 
     def show(self, screen: Screen) -> int:
         """Make `screen` the one that browsers get; return the last offset."""
@@ -109,7 +81,7 @@ class WebPanel:
         capture whose result was shown last, with the names of its files.
         """
         with self.changed:
-            self.changed.wait_for(lambda: self.version != version or not self.is_open, _POLL_S)
+            self._wait_for_change(version)
             lines = [] if self._screen is None else list(grid(self._screen, 60, 16).lines)
             return {
                 "version": self.version,
@@ -143,9 +115,7 @@ class _Handler(SiteHandler):
             case "/":
                 self.answer(_PAGE, "text/html; charset=utf-8")
             case "/screen":
-                after = parse_qs(self.url.query).get("after", ["0"])[0]
-                known = int(after) if re.fullmatch(r"\d{1,18}", after, re.ASCII) else 0
-                shown = self.server_panel.wait_for(known)
+                shown = self.server_panel.wait_for(self.known_version)
                 self.answer(json.dumps(shown).encode(), "application/json")
             case path if path.startswith("/result/"):
                 self._send_file(unquote(path.removeprefix("/result/")))
@@ -154,11 +124,8 @@ class _Handler(SiteHandler):
 
     def do_POST(self) -> None:
         """Take a key."""
-        if not self.is_allowed():
-            return
-        # Pages of other sites cannot send this header without being allowed to.
-        if self.headers.get("X-Camctl") is None:
-            self.refuse(HTTPStatus.FORBIDDEN, "keys are taken from the page of the menu only")
+        wrong_page = "keys are taken from the page of the menu only"
+        if not self.is_allowed() or not self.is_from_page(wrong_page):
             return
         name = self.url.path.removeprefix("/key/")
         if name not in _KEYS:
@@ -179,11 +146,4 @@ class _Handler(SiteHandler):
             self.refuse(HTTPStatus.NOT_FOUND, "the result has no such file")
             return
         with file:
-            size = os.fstat(file.fileno()).st_size
-            self.send_head(_KINDS[Path(name).suffix], size)
-            # A file that grows meanwhile must not be mixed with the next answer.
-            left = size
-            while left and (part := file.read(min(left, _PART_BYTES))):
-                self.wfile.write(part)
-                left -= len(part)
-            self.close_connection |= left > 0
+            self.send_file(file, _KINDS[Path(name).suffix])

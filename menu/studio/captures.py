@@ -17,18 +17,18 @@ from camctl.menu.studio.section import NOT_FOUND, Answer, RefusedError, Request
 from camctl.menu.studio.studio import Studio
 from camctl.records import REPORT
 from camctl.system.files import storage_error
-from camctl.system.picture_operations import dilated, opencv, png
+from camctl.system.picture_operations import dilated, opencv
 
 _SHOWN = {".png": "image/png", ".jpg": "image/jpeg"}
 """Files that a browser shows, by suffix; it keeps the others."""
 _BUSY = {State.SHOOTING, State.RESUMING, State.CANCELLING, State.STOPPING}
-_LAYERS = {
-    "dark": (1, (80, 120, 255)),
-    "saturated": (2, (255, 60, 60)),
-    "moved": (4, (255, 200, 60)),
-    "hot": (8, (90, 255, 140)),
+_COLOURS = {
+    "dark": (80, 120, 255),
+    "saturated": (255, 60, 60),
+    "moved": (255, 200, 60),
+    "hot": (90, 255, 140),
 }
-"""Bits of the mask, see `camctl.pictures.render`, and the colours in which they are painted."""
+"""The layers of the mask, and the colours in which they are painted."""
 _MASK_SIDE = 1600
 """Pixels of the longest side of a mask at most: a page shows no more of it."""
 
@@ -83,9 +83,7 @@ def small(studio: Studio, request: Request) -> Answer:
     """Return a small picture of a capture: ``captures/small/NAME``."""
     from camctl.menu.thumbnails import preview_picture
 
-    picture = preview_picture(_folder(studio, request.rest))
-    pixels = np.frombuffer(picture.rgb, np.uint8).reshape(picture.rows, picture.columns, 3)
-    return Answer(png(pixels), "image/png")
+    return Answer.of_picture(preview_picture(_folder(studio, request.rest)))
 
 
 class _Radiance:
@@ -116,6 +114,13 @@ class _Radiance:
 _RADIANCE = _Radiance()
 
 
+def _bits() -> dict[str, int]:
+    """Return the bit of each layer in the mask."""
+    from camctl.pictures.render import CONTRADICTING, DARK, HOT, SATURATED
+
+    return dict(zip(_COLOURS, (DARK, SATURATED, CONTRADICTING, HOT), strict=True))
+
+
 def light(studio: Studio, request: Request) -> Answer:
     """Return what is known of a place: ``captures/light/NAME?x=..&y=..``, shares of the picture.
 
@@ -140,7 +145,7 @@ def light(studio: Studio, request: Request) -> Answer:
             "column": column,
             "light": _numbers(radiance[row, column]),
             "deviation": _numbers(deviation[row, column]),
-            "layers": [name for name, (bit, _) in _LAYERS.items() if bits & bit],
+            "layers": [name for name, bit in _bits().items() if bits & bit],
         }
     )
 
@@ -154,9 +159,9 @@ def layer(studio: Studio, request: Request) -> Answer:
     """Return a layer of the mask as a picture to lay over: ``captures/layer/NAME/LAYER``."""
     capture, _, name = request.rest.partition("/")
     folder = _folder(studio, capture)
-    if name not in _LAYERS or (cv2 := opencv()) is None:
+    if name not in _COLOURS or (cv2 := opencv()) is None:
         raise RefusedError(NOT_FOUND, "there is no such layer")
-    bit, colour = _LAYERS[name]
+    bit, colour = _bits()[name], _COLOURS[name]
     *_, mask = _RADIANCE.of(folder)
     found = np.asarray(np.atleast_3d((mask & bit) > 0).any(axis=2))
     step = max(1, -(-max(found.shape) // _MASK_SIDE))

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from camctl.menu.data import Picture
 from camctl.menu.studio.section import NOT_FOUND, Answer, RefusedError, Request
 from camctl.menu.studio.studio import Studio
-from camctl.system.picture_operations import png
 
 
 def cost_picture(studio: Studio, request: Request) -> Answer:
@@ -26,5 +23,4 @@ def _answer(pictures: list[Picture | None], request: Request) -> Answer:
     picture = pictures[index] if 0 <= index < len(pictures) else None
     if picture is None:
         raise RefusedError(NOT_FOUND, "there is no such picture")
-    pixels = np.frombuffer(picture.rgb, np.uint8).reshape(picture.rows, picture.columns, 3)
-    return Answer(png(pixels), "image/png")
+    return Answer.of_picture(picture)

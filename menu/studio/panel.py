@@ -6,8 +6,6 @@ environment variable CAMCTL_STUDIO_TOKEN, and given once as ``http://HOST:PORT/?
 
 from __future__ import annotations
 
-import os
-import sys
 from pathlib import Path
 from typing import Self
 
@@ -31,27 +29,16 @@ class StudioPanel(Studio):
     def __init__(
         self, parent: Path, address: str = str(DEFAULT_PORT), *, token: str | None = None
     ) -> None:
-        super().__init__(parent)
-        if token is None:
-            token = os.environ.get(TOKEN_VARIABLE, "")
-        self._site = Site(address, token, TOKEN_VARIABLE, "", "the studio", PAGE, has_files=True)
-
-    @property
-    def url(self) -> str:
-        return self._site.url
+        site = Site(address, token, TOKEN_VARIABLE, "", "the studio", PAGE, has_files=True)
+        super().__init__(parent, site)
 
     def __enter__(self) -> Self:
         """Start the server and return the panel; raises `UsageError` where it cannot listen."""
-        self._site.start(StudioHandler, studio=self)
-        self.is_open = True
-        print(f"the studio is at {self._site.shown_url}", file=sys.stderr, flush=True)
+        self._open("the studio", StudioHandler, studio=self)
         return self
 
     @uninterrupted
     def __exit__(self, *_: object) -> None:
         """Stop the server."""
-        self.is_open = False
-        with self.changed:
-            self.changed.notify_all()
         self.sight.end()
-        self._site.stop()
+        super().__exit__()

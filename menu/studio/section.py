@@ -14,8 +14,12 @@ from io import BufferedIOBase
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
+
+from camctl.menu.data import Picture
 from camctl.menu.model import State
 from camctl.menu.studio.studio import Studio
+from camctl.system.picture_operations import png
 
 MOST_BODY = 1 << 16
 """Bytes of a request that are read at once: a choice has a few dozen."""
@@ -62,6 +66,12 @@ class Answer:
     kind: str = "application/json"
     name: str = ""
     head: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of_picture(cls, picture: Picture) -> Answer:
+        """Return a small picture."""
+        pixels = np.frombuffer(picture.rgb, np.uint8).reshape(picture.rows, picture.columns, 3)
+        return cls(png(pixels), "image/png")
 
     @classmethod
     def of(cls, value: object) -> Answer:

@@ -1,9 +1,8 @@
-"""The server of the studio: the page, its files, the state, wishes, and the sections' routes."""
+"""The server of the studio: the page, its files, the state, commands, and the sections' routes."""
 
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Mapping
 from http import HTTPStatus
@@ -14,18 +13,16 @@ from urllib.parse import parse_qsl, quote, unquote
 from camctl.errors import CamctlError
 from camctl.menu.model import Action, State
 from camctl.menu.ports import Key
+from camctl.menu.studio.commands import Command
 from camctl.menu.studio.section import NOT_FOUND, Answer, RefusedError, Request, Route
 from camctl.menu.studio.sections import SECTIONS
 from camctl.menu.studio.studio import Studio
-from camctl.menu.studio.wishes import Wish
 from camctl.messages.menu import error_text
 from camctl.system.web_server import SiteHandler
 
 _STATIC = Path(__file__).with_name("static")
 PAGE = (_STATIC / "index.html").read_bytes()
 _KINDS = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
-_PART_BYTES = 1 << 20
-"""Bytes of a file that are read at a time."""
 _KEYS = {key.name.lower(): key for key in Key}
 _SECTIONS = [{"name": each.name, "title": each.title, "states": each.states} for each in SECTIONS]
 _ACTIONS = {action.name.lower(): action for action in Action}
@@ -44,9 +41,7 @@ class StudioHandler(SiteHandler):
             case "/":
                 self.answer(PAGE, "text/html; charset=utf-8")
             case "/state":
-                after = dict(parse_qsl(self.url.query)).get("after", "")
-                known = int(after) if re.fullmatch(r"\d{1,18}", after, re.ASCII) else 0
-                state = {"sections": _SECTIONS, **self.studio.wait_for(known)}
+                state = {"sections": _SECTIONS, **self.studio.wait_for(self.known_version)}
                 self.answer(json.dumps(state).encode(), "application/json")
             case path if path.startswith("/static/"):
                 self._send_static(path.removeprefix("/static/"))
@@ -54,14 +49,13 @@ class StudioHandler(SiteHandler):
                 self._send_answer({each.name: each.get for each in SECTIONS})
 
     def do_POST(self) -> None:
-        """Take a wish, or answer a route of a section."""
-        if not self.is_allowed():
+        """Take a command, or answer a route of a section."""
+        wrong_page = "this is taken from the page of the studio only"
+        if not self.is_allowed() or not self.is_from_page(wrong_page):
             return
-        # Pages of other sites cannot send this header without being allowed to.
-        if self.headers.get("X-Camctl") is None:
-            self.refuse(HTTPStatus.FORBIDDEN, "this is taken from the page of the studio only")
-            return
-        self._send_answer({"": {"wish": _take_wish}, **{each.name: each.post for each in SECTIONS}})
+        self._send_answer(
+            {"": {"command": _take_command}, **{each.name: each.post for each in SECTIONS}}
+        )
 
     def _send_static(self, name: str) -> None:
         path = _STATIC / name
@@ -111,28 +105,22 @@ class StudioHandler(SiteHandler):
             self.refuse(NOT_FOUND, "the file is gone")
             return
         with file:
-            # A file that grows meanwhile must not be mixed with the next answer.
-            left = os.fstat(file.fileno()).st_size
-            self.send_head(answer.kind, left, more=more)
-            while left and (part := file.read(min(left, _PART_BYTES))):
-                self.wfile.write(part)
-                left -= len(part)
-            self.close_connection |= left > 0
+            self.send_file(file, answer.kind, more=more)
 
 
-def _take_wish(studio: Studio, request: Request) -> Answer:
-    """Take what was chosen: the fields of `Wish` that are not their defaults, by name."""
-    wish = _wish(request.json())
-    if not studio.wish(wish):
+def _take_command(studio: Studio, request: Request) -> Answer:
+    """Take what was chosen: the fields of `Command` that are not their defaults, by name."""
+    command = _command(request.json())
+    if not studio.command(command):
         raise RefusedError(HTTPStatus.SERVICE_UNAVAILABLE, "too many keys are waiting")
     return Answer.of({})
 
 
-def _wish(value: Any) -> Wish:
+def _command(value: Any) -> Command:
     """Return what JSON describes; raises `RefusedError`."""
     try:
         given = dict(value)
-        wish = Wish(
+        command = Command(
             seen=State(given.pop("seen")) if "seen" in given else None,
             state=State(given.pop("state")) if "state" in given else None,
             action=_ACTIONS[given.pop("action")] if "action" in given else None,
@@ -144,4 +132,4 @@ def _wish(value: Any) -> Wish:
         raise RefusedError(HTTPStatus.BAD_REQUEST, "there is no such choice") from None
     if given:
         raise RefusedError(HTTPStatus.BAD_REQUEST, "there is no such choice")
-    return wish
+    return command

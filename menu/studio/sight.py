@@ -1,4 +1,4 @@
-"""What the camera sees, for browsers that look: nothing is computed while none does.
+"""What the camera sees, for browsers that look: live pictures are made only while one does.
 
 Each sample is kept as one byte: 0 too dark, 255 saturated, between them the brightness as shown.
 """
@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.exposure.light import Metering
+from camctl.exposure.light import SHOWN_STOPS, Metering, counts_in_stops
 from camctl.interface.camera import Frame
 from camctl.interface.controls import ExposureControls, Layout
-from camctl.system.picture_operations import opencv, png, reduced_by_area
+from camctl.system.picture_operations import jpeg, opencv, png, reduced_by_area
 
 if TYPE_CHECKING:
+    from camctl.livestream.following import Look as Light
     from camctl.livestream.result import LiveResult
 
 Codes = NDArray[np.uint8]
@@ -27,8 +28,6 @@ _LOOKS_S = 5.0
 """So long after its last request a browser still counts as looking, s."""
 _SILENCE_S = 5.0
 """A request for the next picture is answered after this time, s, even if there is none."""
-_STOPS_BELOW, _BINS_PER_STOP = 16, 4
-"""The histogram goes from so many stops below saturation of the shortest exposure to one above."""
 _TOO_DARK, _SATURATED = 0, 255
 _QUALITY = 85
 """Quality of the JPEG files, 1 to 100."""
@@ -101,11 +100,10 @@ class Sight:
             },
         )
 
-    def show_result(self, result: LiveResult, controls: ExposureControls) -> None:
+    def show_result(self, result: LiveResult, seen: Light, controls: ExposureControls) -> None:
         """Take a picture of the effective camera."""
         if not self.is_wanted:
             return
-        from camctl.livestream.following import Look as Light
         from camctl.pictures.render import DARK, SATURATED
 
         def coded(table: Any) -> Codes:
@@ -115,7 +113,6 @@ class Sight:
             return found
 
         codes = result.through(coded, "studio").copy()
-        seen = Light.at(result.sum, result.layout, result.tables)
         low = float(np.log2(result.plan.desired.e_min))
         facts = {
             "live": True,
@@ -161,14 +158,12 @@ def _step(codes: Codes) -> int:
 
 
 def _histogram(E: NDArray[Any], counts: NDArray[Any]) -> dict[str, Any]:
-    edges = np.arange(-_STOPS_BELOW * _BINS_PER_STOP, _BINS_PER_STOP + 1) / _BINS_PER_STOP
-    stops = np.clip(np.log2(np.maximum(E, 1e-12)), edges[0], edges[-1])
-    found, _ = np.histogram(stops, edges, weights=counts)
+    found = counts_in_stops(E, counts, SHOWN_STOPS)
     total = max(float(found.sum()), 1e-12)
     return {
         "histogram": (found / total).tolist(),
-        "first_stop": float(edges[0]),
-        "last_stop": float(edges[-1]),
+        "first_stop": float(SHOWN_STOPS[0]),
+        "last_stop": float(SHOWN_STOPS[-1]),
     }
 
 
@@ -191,11 +186,9 @@ def rendered(view: View, look: Look) -> tuple[bytes, str, float]:
     if scale < 1:
         size = max(1, round(columns * scale)), max(1, round(rows * scale))
         picture = np.asarray(reduced_by_area(picture, size), np.uint8)
-    if (cv2 := opencv()) is None:
+    if opencv() is None:
         return png(picture), "image/png", sharpness
-    bgr = np.ascontiguousarray(picture[..., ::-1])
-    _, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    return bytes(data), "image/jpeg", sharpness
+    return jpeg(picture, _QUALITY), "image/jpeg", sharpness
 
 
 def _cropped(view: View, look: Look) -> Codes:

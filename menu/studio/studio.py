@@ -3,42 +3,40 @@
 from __future__ import annotations
 
 import queue
-import threading
 from collections import deque
 from pathlib import Path
 from typing import Any
 
 from camctl.menu.model import Model
+from camctl.menu.page_panel import PagePanel
 from camctl.menu.ports import Key, Screen
+from camctl.menu.studio.commands import Command, keys_for
 from camctl.menu.studio.sight import Sight
 from camctl.menu.studio.state import state_of
-from camctl.menu.studio.wishes import Wish, keys_for
+from camctl.system.web_server import Site
 
-_POLL_S = 20.0
-"""A request for the next state is answered after this time, s, even if it is the same."""
-_MOST_WISHES = 64
+_MOST_COMMANDS = 64
 
 
-class Studio:
-    """The state of the menu for browsers, and their wishes for the menu.
+class Studio(PagePanel):
+    """The state of the menu for browsers, and their commands for the menu.
 
     Args:
         parent: folder of the captures
+        site: of the page
 
     Attributes:
         model: the state that the menu is in
         sight: what the camera sees, for browsers that look
     """
 
-    def __init__(self, parent: Path) -> None:
+    def __init__(self, parent: Path, site: Site) -> None:
+        super().__init__(site)
         self.parent = parent
         self.model = Model()
         self.sight = Sight()
-        self.changed = threading.Condition()
-        self.version = 0
-        self.is_open = False
         self._state: dict[str, Any] = {}
-        self._wishes: queue.Queue[Wish] = queue.Queue(_MOST_WISHES)
+        self._commands: queue.Queue[Command] = queue.Queue(_MOST_COMMANDS)
         self._keys: deque[Key] = deque()
 
     def show(self, screen: Screen) -> int:
@@ -60,19 +58,19 @@ class Studio:
         self.model = model
 
     def key(self, timeout_s: float) -> Key | None:
-        """Return the next key on the way to what was wished."""
+        """Return the next key on the way to what was asked for."""
         if not self._keys:
             try:
-                wish = self._wishes.get(timeout=timeout_s) if timeout_s else self._wishes.get(False)
+                command = self._commands.get(timeout_s > 0, timeout_s)
             except queue.Empty:
                 return None
-            self._keys.extend(keys_for(self.model, wish))
+            self._keys.extend(keys_for(self.model, command))
         return self._keys.popleft() if self._keys else None
 
-    def wish(self, wish: Wish) -> bool:
-        """Take a wish; return whether there is room for it."""
+    def command(self, command: Command) -> bool:
+        """Take a command; return whether there is room for it."""
         try:
-            self._wishes.put_nowait(wish)
+            self._commands.put_nowait(command)
         except queue.Full:
             return False
         return True
@@ -80,5 +78,5 @@ class Studio:
     def wait_for(self, version: int) -> dict[str, Any]:
         """Return what the page shows, for JSON, once it is not `version`."""
         with self.changed:
-            self.changed.wait_for(lambda: self.version != version or not self.is_open, _POLL_S)
+            self._wait_for_change(version)
             return {"version": self.version, **self._state}

@@ -23,6 +23,7 @@ import OpenEXR
 import pytest
 from browser import browser
 from numpy.typing import NDArray
+from site_client import ask_site
 
 import camctl
 from camctl.drivers.v4l2 import abi
@@ -162,13 +163,7 @@ def served(token: str = "", **options: Any) -> Iterator[WebOutput]:
 
 
 def ask(output: WebOutput, path: str = "", **headers: str) -> tuple[int, bytes]:
-    request = urllib.request.Request(output.site.url + path, headers=headers)
-    try:
-        with urllib.request.urlopen(request, timeout=20) as answer:
-            return answer.status, answer.read()
-    except urllib.error.HTTPError as error:
-        with error:
-            return error.code, error.read()
+    return ask_site(output.site.url + path, headers=headers)
 
 
 def test_the_page_has_picture_histogram_and_exposures() -> None:

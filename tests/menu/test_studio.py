@@ -1,12 +1,10 @@
-"""The server of the studio: page, state, wishes, pictures of the camera, captures."""
+"""The server of the studio: page, state, commands, pictures of the camera, captures."""
 
 from __future__ import annotations
 
 import json
 import threading
 import time
-import urllib.error
-import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,13 +13,12 @@ import numpy as np
 import pytest
 from panel_fakes import FakeJob
 from ptp_bench import bench
+from site_client import ask_site
+from studio_menu import MakeJob, job_with, start_menu
 
 from camctl.exposure.light import Metering
+from camctl.interface.camera import Camera
 from camctl.interface.controls import Layout
-from camctl.menu.app import run
-from camctl.menu.camera_job import CameraJob
-from camctl.menu.ports import Job
-from camctl.menu.studio.panel import StudioPanel
 from camctl.menu.studio.sections import SECTIONS
 from camctl.menu.studio.server import PAGE
 from camctl.menu.studio.sight import Look, Sight, View, rendered
@@ -39,17 +36,11 @@ class Client:
 
     def ask(self, path: str, body: object = None, *, header: bool = True) -> tuple[int, bytes]:
         """Return (status, content); with a body it is sent by POST."""
-        request = urllib.request.Request(
+        return ask_site(
             self.url + path,
-            data=None if body is None else json.dumps(body).encode(),
+            body=None if body is None else json.dumps(body).encode(),
             headers={"X-Camctl": "1"} if header else {},
         )
-        try:
-            with urllib.request.urlopen(request, timeout=60) as answer:
-                return answer.status, answer.read()
-        except urllib.error.HTTPError as error:
-            with error:
-                return error.code, error.read()
 
     def json(self, path: str) -> Any:
         """Return the answer that is JSON."""
@@ -64,12 +55,12 @@ class Client:
             shown = self.json(f"state?after={shown['version']}")
         return shown
 
-    def wish(self, **fields: object) -> int:
-        """Send a wish."""
-        return self.ask("wish", fields)[0]
+    def command(self, **fields: object) -> int:
+        """Send a command."""
+        return self.ask("command", fields)[0]
 
 
-Start = Callable[[Callable[[StudioPanel], Job]], tuple[Client, StudioPanel]]
+Start = Callable[[MakeJob], Client]
 
 
 @pytest.fixture
@@ -77,35 +68,26 @@ def start(tmp_path: Path) -> Iterator[Start]:
     """Return a function that starts a studio with a job."""
     threads: list[tuple[Client, threading.Thread]] = []
 
-    def begin(make_job: Callable[[StudioPanel], Job]) -> tuple[Client, StudioPanel]:
-        panel = StudioPanel(tmp_path, "0", token="")
-        menu = threading.Thread(target=run, args=(panel, lambda: make_job(panel)), daemon=True)
-        menu.start()
-        while not panel.is_open:
-            time.sleep(0.005)
+    def begin(make_job: MakeJob) -> Client:
+        panel, menu = start_menu(tmp_path, make_job)
         client = Client(panel.url)
         threads.append((client, menu))
-        return client, panel
+        return client
 
     yield begin
     for client, menu in threads:
-        client.wish(state="menu")
+        client.command(state="menu")
         client.until("menu")
-        client.wish(seen="menu", action="quit")
+        client.command(seen="menu", action="quit")
         client.until("confirm")
-        client.wish(seen="confirm", action="quit")
+        client.command(seen="confirm", action="quit")
         menu.join(20)
         assert not menu.is_alive()
 
 
-def simulated(panel: StudioPanel) -> Job:
-    """Return a job with a small simulated camera."""
-    return CameraJob(
-        lambda _: (SimulatedBackend().open("", {"size": "48x32"}), {}),
-        panel.parent,
-        panel.parent / "menu.json",
-        sight=panel.sight,
-    )
+def simulated() -> Camera:
+    """Return a small simulated camera."""
+    return SimulatedBackend().open("", {"size": "48x32"})
 
 
 def test_each_state_of_the_menu_belongs_to_one_section() -> None:
@@ -114,7 +96,7 @@ def test_each_state_of_the_menu_belongs_to_one_section() -> None:
 
 
 def test_each_section_has_a_script_that_is_served(start: Start) -> None:
-    client, _ = start(lambda _: FakeJob())
+    client = start(lambda _: FakeJob())
     assert client.ask("") == (200, PAGE)
     for name in ("studio.js", "studio.css", *(f"{each.name}.js" for each in SECTIONS)):
         assert client.ask(f"static/{name}")[0] == 200, name
@@ -122,43 +104,43 @@ def test_each_section_has_a_script_that_is_served(start: Start) -> None:
         assert client.ask(path)[0] == 404, path
 
 
-def test_wishes_lead_through_a_capture_and_its_cancelling(start: Start) -> None:
+def test_commands_lead_through_a_capture_and_its_cancelling(start: Start) -> None:
     job = FakeJob()
-    client, _ = start(lambda _: job)
+    client = start(lambda _: job)
     assert client.until("idle")["camera"]["id"] == "sim"
-    client.wish(state="front")
+    client.command(state="front")
     while len(client.until("front")["front"]) < 3:
         time.sleep(0.005)
-    client.wish(seen="front", index=2, take=True)
+    client.command(seen="front", index=2, take=True)
     assert client.until("review")["plan"]["effective_levels"] == 98.4
     job.frame_may_end.clear()
-    client.wish(seen="review", action="shoot")
+    client.command(seen="review", action="shoot")
     assert client.until("shooting")["state"] == "shooting"
     job.frame_started.wait(10)
-    assert client.wish(state="browsing") == 200  # leads nowhere while a capture runs
-    client.wish(seen="shooting", key="exit")
+    assert client.command(state="browsing") == 200  # leads nowhere while a capture runs
+    client.command(seen="shooting", key="exit")
     assert "stopped after 0 frames" in client.until("cancelled")["error"]
     assert len(job.shot) == 1
 
 
 def test_other_sites_and_wrong_choices_are_refused(start: Start) -> None:
-    client, _ = start(lambda _: FakeJob())
-    assert client.ask("wish", {"key": "enter"}, header=False)[0] == 403
+    client = start(lambda _: FakeJob())
+    assert client.ask("command", {"key": "enter"}, header=False)[0] == 403
     assert client.ask("captures/delete/x", {}, header=False)[0] == 403
     for wrong in ({"key": "fire"}, {"state": "x"}, {"more": 1}, [1], {"index": "x"}, "x" * 70000):
-        assert client.ask("wish", wrong)[0] in (400, 413), wrong
+        assert client.ask("command", wrong)[0] in (400, 413), wrong
 
 
 def test_capture_is_taken_looked_at_and_deleted(start: Start, tmp_path: Path) -> None:
-    client, _ = start(simulated)
+    client = start(job_with(simulated))
     client.until("idle")
     assert (
         client.ask("live/picture?width=64&height=64&clip=1&peak=1&at=0.5,0.5")[1][:2] == b"\xff\xd8"
     )
     assert client.ask("live/picture?at=nan,2")[0] == 404
-    client.wish(seen="idle", action="shoot")
+    client.command(seen="idle", action="shoot")
     client.until("review")
-    client.wish(seen="review", action="shoot")
+    client.command(seen="review", action="shoot")
     name = Path(client.until("result")["summary"]["folder"]).name
     names = {each["name"] for each in client.json(f"captures/files/{name}")}
     assert {"radiance.exr", "report.json", "preview.png", "frames/frame-01.npy"} <= names
@@ -179,11 +161,7 @@ def test_capture_is_taken_looked_at_and_deleted(start: Start, tmp_path: Path) ->
 
 def test_battery_and_card_are_shown_where_the_camera_states_them(start: Start) -> None:
     pair = bench(vendor="sony")
-
-    def job(panel: StudioPanel) -> Job:
-        return CameraJob(lambda _: (pair.camera(), {}), panel.parent, panel.parent / "menu.json")
-
-    client, _ = start(job)
+    client = start(job_with(pair.camera))
     shown = client.until("idle")
     while shown["reading"] is None:
         shown = client.json(f"state?after={shown['version']}")
@@ -191,9 +169,9 @@ def test_battery_and_card_are_shown_where_the_camera_states_them(start: Start) -
 
 
 def test_choices_have_pictures_that_differ(start: Start) -> None:
-    client, _ = start(simulated)
+    client = start(job_with(simulated))
     client.until("idle")
-    client.wish(state="response")
+    client.command(state="response")
     costs: list[Any] = []
     while not costs or None in costs:
         shown = client.until("response")

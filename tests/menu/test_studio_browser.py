@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,14 +10,10 @@ from typing import Any
 import pytest
 from panel_fakes import FakeJob
 from ptp_bench import bench
+from studio_menu import MakeJob, job_with, start_menu
 
 from camctl.errors import CameraDisconnectedError
-from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import Camera
-from camctl.menu.app import run
-from camctl.menu.camera_job import CameraJob
-from camctl.menu.ports import Job
-from camctl.menu.studio.panel import StudioPanel
 from camctl.sim.backend import SimulatedBackend
 
 CHROMIUM = shutil.which("chromium")
@@ -50,12 +44,8 @@ def show(browser: Any, tmp_path: Path) -> Iterator[Show]:
     """Return a function that shows the studio of a job in a page of a size."""
     opened: list[Any] = []
 
-    def begin(make_job: Callable[[StudioPanel], Job], size: tuple[int, int] = SIZES[0]) -> Any:
-        panel = StudioPanel(tmp_path, "0", token="")
-        menu = threading.Thread(target=run, args=(panel, lambda: make_job(panel)), daemon=True)
-        menu.start()
-        while not panel.is_open:
-            time.sleep(0.005)
+    def begin(make_job: MakeJob, size: tuple[int, int] = SIZES[0]) -> Any:
+        panel, _ = start_menu(tmp_path, make_job)
         page = browser.new_page(viewport={"width": size[0], "height": size[1]})
         page.set_default_timeout(WAIT_MS)
         errors: list[Any] = []
@@ -68,18 +58,6 @@ def show(browser: Any, tmp_path: Path) -> Iterator[Show]:
     for page, errors in opened:
         assert errors == []
         page.close()
-
-
-def job_with(open_camera: Callable[[], Camera], **request: Any) -> Callable[[StudioPanel], Job]:
-    """Return what makes a job with a camera."""
-
-    def make(panel: StudioPanel) -> Job:
-        settings, wanted = panel.parent / "menu.json", CaptureRequest(**request)
-        return CameraJob(
-            lambda _: (open_camera(), {}), panel.parent, settings, request=wanted, sight=panel.sight
-        )
-
-    return make
 
 
 def simulated() -> Camera:

@@ -1,5 +1,5 @@
 /* The library, and one capture: picture, layers, light under the pointer, files, findings. */
-import {choose, get, h, levels, note, percent, post, wish} from "./studio.js";
+import {choose, command, details, get, h, levels, note, percent, post, renew} from "./studio.js";
 import {buttons, words} from "./screen.js";
 
 let root, shown = "", armed = "";
@@ -100,7 +100,7 @@ function result(state, name) {
     }
     try {
       await post("captures/delete/" + encode(name), {});
-      await wish({state: "browsing"});
+      await command({state: "browsing"});
     } catch (error) { note(error.message); }
   });
   const distrust = summary.untrustworthy_because;
@@ -110,10 +110,9 @@ function result(state, name) {
       buttons(state, {back: state.state === "result" ? "Camera" : "All captures"}),
       reading, switches,
       distrust ? h("p", {class: "bad"}, "Not trustworthy: " + distrust) : null,
-      h("dl", {}, [["accuracy", `${levels(summary.effective_levels)} effective levels, `
+      details([["accuracy", `${levels(summary.effective_levels)} effective levels, `
         + `${levels(summary.planned_levels)} planned`],
-      ["clipped", percent(summary.saturated) + " in all frames"], ["name", name]]
-        .flatMap(([title, text]) => [h("dt", {}, title), h("dd", {}, text)])),
+      ["clipped", percent(summary.saturated) + " in all frames"], ["name", name]]),
       h("h2", {}, "Findings"),
       summary.notes.length ? h("ul", {}, summary.notes.map(text => h("li", {}, text)))
         : h("p", {class: "pale"}, "none"),
@@ -134,13 +133,10 @@ export default {
     const here = isResult ? JSON.stringify([state.state, name, state.action])
       : JSON.stringify([state.state, state.captures, state.selected, state.lines]);
     if (here === shown && root.isConnected) { return; }
-    const focused = document.activeElement?.dataset?.entry;
     shown = here;
     armed = "";
     root.classList.toggle("one", Boolean(isResult));
-    root.replaceChildren(...(isResult ? result(state, name)
-      : state.state === "captures" ? library(state)
-        : [h("div", {class: "card"}, words(state).filter(each => each))]).filter(each => each));
-    if (focused !== undefined) { root.querySelector(`[data-entry="${focused}"]`)?.focus(); }
+    renew(root, isResult ? result(state, name)
+      : state.state === "captures" ? library(state) : h("div", {class: "card"}, words(state)));
   },
 };

@@ -1,5 +1,5 @@
 /* What the camera sees: picture, histogram with the range of the plan, zoom, focus, peaking. */
-import {choose, get, h, note, percent, range, svg, time} from "./studio.js";
+import {details, get, h, percent, svg, time} from "./studio.js";
 import {buttons, words} from "./screen.js";
 
 let root, frame, image, side, facts = null, best = 0, running = false, url = "";
@@ -58,7 +58,7 @@ function showSide(state) {
   side.replaceChildren(...[
     buttons(state, {set: "Choose response and range", shoot: "Shoot", menu: "More"}),
     facts ? histogram(state) : null,
-    h("dl", {}, numbers.flatMap(([name, text]) => [h("dt", {}, name), h("dd", {}, text)])),
+    details(numbers),
     ...state.paragraphs.map(text => h("p", {class: "bad"}, text)),
     state.reading && state.reading.remark ? h("p", {class: "bad"}, state.reading.remark) : null,
     state.reading && state.reading.is_late

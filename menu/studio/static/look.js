@@ -1,5 +1,5 @@
 /* Response and range: each choice with the picture that it would give. */
-import {choose, h, levels, time, wish} from "./studio.js";
+import {choose, command, h, levels, renew, time} from "./studio.js";
 
 let root, shown = "";
 export default {
@@ -7,7 +7,7 @@ export default {
   show(state) {
     const steps = [["response", "1 Response"], ["range", "2 Range"]].map(([name, title]) =>
       h("button", {"aria-pressed": String(state.state === name || (name === "range"
-        && state.state === "custom")), onclick: () => wish({state: name})}, title));
+        && state.state === "custom")), onclick: () => command({state: name})}, title));
     const cards = state.lines.map((text, place) => {
       const cost = state.costs[place], leads = state.entries[place];
       const selected = place === state.selected;
@@ -22,16 +22,14 @@ export default {
         onclick: () => choose({index: place, take: Boolean(leads)})},
       picture, h("strong", {}, text), h("span", {class: "pale"}, facts));
     });
-    const focused = document.activeElement?.dataset?.entry;
     const here = JSON.stringify([state.state, state.selected, state.costs, state.note]);
     if (here === shown && root.isConnected) { return; }
     shown = here;
-    root.replaceChildren(
+    renew(root,
       h("div", {class: "buttons"}, steps,
         h("button", {class: "main next", onclick: () => choose({key: "enter"})},
           state.state === "response" ? "Next: range" : "Next: time")),
       h("div", {class: "choices"}, cards),
       h("p", {class: "pale"}, state.detail));
-    if (focused !== undefined) { root.querySelector(`[data-entry="${focused}"]`)?.focus(); }
   },
 };

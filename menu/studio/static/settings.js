@@ -1,5 +1,5 @@
 /* Camera, self-timer, lamps, and what the menu has beside them. */
-import {h, wish} from "./studio.js";
+import {command, h} from "./studio.js";
 import {words} from "./screen.js";
 
 let root;
@@ -10,7 +10,7 @@ export default {
       h("div", {class: "buttons", role: "group", "aria-label": "settings"},
         [["settings", "Settings"], ["searching", "Camera"], ["about", "About"]].map(
           ([name, title]) => h("button", {"aria-pressed": String(state.state === name),
-            onclick: () => wish({state: name})}, title))),
-      h("div", {class: "card"}, words(state).filter(each => each)));
+            onclick: () => command({state: name})}, title))),
+      h("div", {class: "card"}, words(state)));
   },
 };

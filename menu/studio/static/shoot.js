@@ -1,21 +1,21 @@
 /* The plan, the self-timer, and the progress of a capture. */
-import {choose, h, levels, percent, time} from "./studio.js";
+import {choose, details, h, levels, range, time} from "./studio.js";
 import {buttons} from "./screen.js";
 
 let root;
 
 function planned(plan) {
   return [
-    h("dl", {}, [
+    details([
       ["accuracy", `${levels(plan.effective_levels)} effective levels`
         + (plan.noise_known ? "" : ", the noise is unknown")],
       ["time", plan.wall_s === null ? "unknown"
         : (plan.is_wall_known ? "" : "at least ") + time(plan.wall_s)],
       ["exposed", time(plan.shutter_s)],
-      ["range", "1:" + Math.round(plan.dynamic_range).toLocaleString("en")],
+      ["range", range(plan.dynamic_range)],
       ["space", `${(plan.needed_bytes / 1e6).toPrecision(3)} MB of `
         + `${(plan.free_bytes / 1e9).toPrecision(3)} GB`],
-    ].flatMap(([name, text]) => [h("dt", {}, name), h("dd", {}, text)])),
+    ]),
     h("table", {}, h("thead", {}, h("tr", {}, h("th", {}, "frame"), h("th", {}, "setting"),
       h("th", {}, "exposure"))),
     h("tbody", {}, plan.frames.map(([text, ratio], at) => h("tr", {}, h("td", {}, at + 1),

@@ -5,7 +5,8 @@ A section NAME is the module static/NAME.js.  Its default export is an object wi
   show(state, studio)   show a state of the menu; called at each change while the section is open
   open(studio)          optional: the section was opened
   close(studio)         optional: another one was
-`studio` is what this module exports.  Sections and their states: menu/studio/sections.py. */
+`studio` has the state of the menu and the name of the open section.  Sections and their states:
+menu/studio/sections.py. */
 
 const find = id => document.getElementById(id);
 const loaded = {};
@@ -47,15 +48,15 @@ export const get = (path, options) => ask(path, options);
 export const post = (path, body) => ask(path, {method: "POST", headers: {"X-Camctl": "1"},
   body: body instanceof Blob ? body : JSON.stringify(body)});
 
-/* A choice: the fields of camctl.menu.studio.wishes.Wish. */
-export async function wish(fields) {
+/* A choice: the fields of camctl.menu.studio.commands.Command. */
+export async function command(fields) {
   try {
-    await post("wish", fields);
+    await post("command", fields);
     note("");
   } catch (error) { note(error.message); }
 }
 /* A choice on the page that is shown. */
-export const choose = fields => wish({seen: studio.state.state, ...fields});
+export const choose = fields => command({seen: studio.state.state, ...fields});
 
 export const time = seconds => seconds >= 0.9995 ? +seconds.toPrecision(3) + " s"
   : seconds >= 0.0009995 ? +(1e3 * seconds).toPrecision(3) + " ms"
@@ -65,11 +66,17 @@ export const percent = share => share > 0 && share < 1e-4 ? "< 0.01 %"
 export const levels = count => count < 9.95 ? count.toFixed(1) : Math.round(count).toString();
 export const range = ratio => "1:" + Math.round(ratio).toLocaleString("en");
 
-export const studio = {
-  state: null,
-  section: "",
-  h, svg, wish, get, post, note, time, percent, levels, range, choose, openSection,
-};
+/* A list of names and values. */
+export const details = pairs => h("dl", {}, pairs.flatMap(([name, text]) =>
+  [h("dt", {}, name), h("dd", {}, text)]));
+/* Replace what a section shows; the entry that had the focus keeps it. */
+export function renew(root, ...children) {
+  const focused = document.activeElement?.dataset?.entry;
+  root.replaceChildren(...children.flat().filter(each => each));
+  if (focused !== undefined) { root.querySelector(`[data-entry="${focused}"]`)?.focus(); }
+}
+
+export const studio = {state: null, section: ""};
 
 const sectionOf = state => state.sections.find(each => each.states.includes(state.state));
 
@@ -104,11 +111,11 @@ async function display(name) {
   made.show(state, studio);
 }
 
-export function openSection(name) {
+function openSection(name) {
   const section = studio.state.sections.find(each => each.name === name);
   if (!section) { return; }
   if (section.states.length && !section.states.includes(studio.state.state)) {
-    wish({state: section.states[0]});
+    command({state: section.states[0]});
   } else { display(name); }
 }
 
@@ -120,7 +127,6 @@ function showBar(state) {
 }
 
 async function show(state) {
-  const before = studio.state;
   studio.state = state;
   showBar(state);
   find("title").textContent = state.title;

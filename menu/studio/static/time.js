@@ -1,8 +1,8 @@
 /* The time dial: accuracy against time as a curve that is dragged; or a list of the same. */
-import {choose, h, levels, svg, time, wish} from "./studio.js";
+import {choose, command, details, h, levels, renew, svg, time} from "./studio.js";
 
 const WIDTH = 640, HEIGHT = 300, LEFT = 60, RIGHT = 20, TOP = 14, BOTTOM = 58;
-let root, dial, picture, facts, slider, drawn = "", sent = -1;
+let root, dial, picture, facts, slider, drawn = null, sent = -1;
 
 function scale(front) {
   const times = front.map(each => Math.log(each.wall_s));
@@ -38,12 +38,12 @@ function draw(front, selected) {
     "stroke-width": at === selected ? 3 : 0})),
   ];
   dial.replaceChildren(...parts);
-  facts.replaceChildren(...[
+  facts.replaceChildren(details([
     ["time", time(point.wall_s)], ["of it exposed", time(point.shutter_s)],
     ["accuracy", levels(point.effective_levels) + " effective levels, noise counted"],
     ["exposures", String(point.count) + (point.is_recommended ? ", recommended" : "")],
     ["set", point.frames.join(", ")],
-  ].flatMap(([name, text]) => [h("dt", {}, name), h("dd", {}, text)]));
+  ]));
 }
 
 function move(front, at, request) {
@@ -62,13 +62,13 @@ function move(front, at, request) {
 
 function showDial(state) {
   const front = state.front;
-  const key = `${state.request}`;
+  const key = state.request;
   if (drawn !== key || !dial?.isConnected) {
     drawn = key;
     dial = svg("svg", {viewBox: `0 0 ${WIDTH} ${HEIGHT}`, class: "dial", "aria-hidden": "true"});
     picture = h("img", {alt: "the scene with the noise of this set, single pixels",
       class: "noise"});
-    facts = h("dl", {});
+    facts = h("div", {});
     slider = h("input", {type: "range", min: 0, max: front.length - 1, step: 1,
       value: state.selected, "aria-label": "time of the capture",
       oninput: () => move(front, Number(slider.value), key)});
@@ -105,7 +105,7 @@ function tabs(state, take) {
   return h("div", {class: "buttons", role: "group", "aria-label": "what decides"},
     [["front", "Time / accuracy"], ["exposures", "Number"], ["budget", "Time budget"]].map(
       ([name, title]) => h("button", {"aria-pressed": String(state.state === name),
-        onclick: () => wish({state: name})}, title)),
+        onclick: () => command({state: name})}, title)),
     take ? h("button", {class: "main next", "data-take": true, onclick: take}, "Next: plan") : null);
 }
 
@@ -113,8 +113,7 @@ export default {
   start(element) { root = element; },
   show(state) {
     if (state.state === "front" && state.front.length) { showDial(state); return; }
-    drawn = "";
-    const focused = document.activeElement?.dataset?.entry;
+    drawn = null;
     const list = state.lines.map((text, place) => {
       const cost = state.costs[place], leads = state.entries[place];
       const words = leads ? "" : !cost ? "computing ..." : cost.problem || [
@@ -124,10 +123,9 @@ export default {
         "data-entry": place, onclick: () => choose({index: place, take: Boolean(leads)})},
       h("strong", {}, text), h("span", {class: "pale"}, words));
     });
-    root.replaceChildren(tabs(state, state.lines.length ? () => choose({key: "enter"}) : null),
+    renew(root, tabs(state, state.lines.length ? () => choose({key: "enter"}) : null),
       h("div", {class: "rows"}, list),
       h("p", {class: "pale"}, state.detail),
-      ...state.paragraphs.map(text => h("p", {}, text)));
-    if (focused !== undefined) { root.querySelector(`[data-entry="${focused}"]`)?.focus(); }
+      state.paragraphs.map(text => h("p", {}, text)));
   },
 };

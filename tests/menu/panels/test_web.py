@@ -15,6 +15,7 @@ from urllib.parse import quote
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from site_client import ask_site
 
 from camctl.errors import UsageError
 from camctl.menu.drawing import draw
@@ -36,15 +37,7 @@ def ask(
     panel: WebPanel, path: str, *, post: bool = False, headers: dict[str, str] | None = None
 ) -> tuple[int, bytes]:
     """Return (status, content) of a request."""
-    request = urllib.request.Request(
-        panel.url + path, data=b"" if post else None, headers=headers or {}
-    )
-    try:
-        with urllib.request.urlopen(request, timeout=60) as answer:
-            return answer.status, answer.read()
-    except urllib.error.HTTPError as error:
-        with error:
-            return error.code, error.read()
+    return ask_site(panel.url + path, body=b"" if post else None, headers=headers)
 
 
 def press(panel: WebPanel, key: str, **headers: str) -> tuple[int, bytes]:

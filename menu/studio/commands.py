@@ -29,7 +29,7 @@ _ONLY_ASKED = {
 
 
 @dataclass(frozen=True)
-class Wish:
+class Command:
     """What is chosen in the page.
 
     Attributes:
@@ -49,28 +49,28 @@ class Wish:
     key: Key | None = None
 
 
-def keys_for(model: Model, wish: Wish) -> tuple[Key, ...]:
-    """Return the keys that lead from `model` to what is wished; () where none do.
+def keys_for(model: Model, command: Command) -> tuple[Key, ...]:
+    """Return the keys that lead from `model` to what is asked for; () where none do.
 
-    A wish for another state than the present one was meant for a page that is gone: () as well.
+    A command for another state than the present one was meant for a page that is gone: () as well.
     """
-    if wish.seen not in (None, model.state):
+    if command.seen not in (None, model.state):
         return ()
     keys: list[Key] = []
-    if wish.state is not None:
-        way = _way(model, wish.state)
+    if command.state is not None:
+        way = _way(model, command.state)
         if way is None:
             return ()
         keys += way
         model = _after(model, way)
-    if wish.action is not None:
-        found = [way for action, way in _actions(model) if action is wish.action]
+    if command.action is not None:
+        found = [way for action, way in _actions(model) if action is command.action]
         keys += found[0] if found else ()
-    if wish.index is not None and 0 <= wish.index < len(rows(model)):
-        keys += _moves(model, wish.index)
-        keys += [Key.ENTER] if wish.take else []
-    if wish.key is not None:
-        keys.append(wish.key)
+    if command.index is not None and 0 <= command.index < len(rows(model)):
+        keys += _moves(model, command.index)
+        keys += [Key.ENTER] if command.take else []
+    if command.key is not None:
+        keys.append(command.key)
     return tuple(keys)
 
 
