@@ -204,6 +204,7 @@ def test_what_is_not_known_of_arrays_is_asked_for() -> None:
         camctl.calibrate.noise(frames, [1.0] * 4, white=4095, response=real)
 
 
+@pytest.mark.slow
 def test_plots_are_files(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     with open_sim("phone") as camera:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sampling import some
 
 from camctl.calibration.delay import (
     FIRST_FRAMES,
@@ -67,7 +68,8 @@ def check_constant_delay(delay: int, sensor: str, scene: str) -> None:
     assert record.trials == 12
 
 
-@pytest.mark.parametrize("sensor", SENSORS[:-1])  # "mobile" is slow: below, with all of them
+# "mobile" is slow: below, with all of them.
+@pytest.mark.parametrize("sensor", some(SENSORS[:-1], every=3))
 def test_constant_delay_is_measured_with_every_sensor(sensor: str) -> None:
     """Each delay before one of the scenes, another one for the next sensor."""
     for delay in range(6):
@@ -90,7 +92,7 @@ def test_constant_delay_is_measured_before_every_scene(sensor: str) -> None:
     gain=st.sampled_from([1.0, 8.0]),
     seed=st.integers(0, 1000),
 )
-@settings(max_examples=12)
+@settings(max_examples=settings().max_examples // 6)
 def test_measured_delay_is_within_the_true_bounds(
     delay: int, jitter: int, sensor: str, level: float, noise: float, gain: float, seed: int
 ) -> None:
@@ -342,7 +344,7 @@ def test_setting_that_acts_on_the_running_exposure_has_the_delay_minus_one(senso
 
 
 @pytest.mark.usefixtures("own_profiles")
-@pytest.mark.parametrize("delay", range(-1, 4))
+@pytest.mark.parametrize("delay", some(range(-1, 4), every=3))
 def test_measured_delay_is_stored_and_used(delay: int) -> None:
     """The camera does not know its delay; each frame of a random bracket has its own exposure."""
     scene = load_scene("tile-floor", (30, 40))

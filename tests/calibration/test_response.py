@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from opencv_levels import levels_of, opencv_curves
+from sampling import some
 
 from camctl.calibration.response.estimate import ResponseEstimate, estimate_response
 from camctl.calibration.response.fit import fit_response
@@ -135,7 +136,7 @@ def test_it_is_much_better_than_the_methods_of_opencv() -> None:
         assert error_of(ours, s_curve) < error_of(theirs, s_curve) / 2
 
 
-@pytest.mark.parametrize("layout", [Layout.RGB, Layout.GRBG])
+@pytest.mark.parametrize("layout", some([Layout.RGB, Layout.GRBG], every=2, first=1))
 def test_each_channel_has_its_own_response(layout: Layout) -> None:
     curves = {"R": CURVES["power"], "G": srgb, "B": CURVES["linear"]}
     series = Series(layout, 8)

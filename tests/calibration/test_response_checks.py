@@ -91,7 +91,7 @@ def test_a_frame_is_darker_by_less_than_all_of_its_light() -> None:
 
 
 @pytest.mark.parametrize("wrong", [0, 2, 5])
-@pytest.mark.parametrize("factor", [1.6, 1 / 1.6])
+@pytest.mark.parametrize("factor", some([1.6, 1 / 1.6], every=2, first=1))
 def test_one_wrong_label_is_named_with_what_its_pixels_say(wrong: int, factor: float) -> None:
     """Not as movement, also where it is the first or the last exposure."""
     labels = tuple(exposure / (factor if k == wrong else 1) for k, exposure in enumerate(STOPS))

@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from sampling import some
 
 from camctl.model.light import light_tables
 from camctl.model.noise import FrameNoise
@@ -67,13 +68,16 @@ def exact(frames: FrameSet) -> tuple[list[tuple[int, ...]], FloatArray, FloatArr
 
 @pytest.mark.parametrize(
     ("response", "black", "exposures", "electrons", "read"),
-    [
-        (linear_response(4), 0, (1.0, 3.0), 40.0, 0.1),  # the quantiser decides
-        (linear_response(4), 0, (1.0, 1.03, 2.9), 1000.0, 0.05),  # interleaved levels
-        (standard_response("srgb", 4), 0, (1.0, 5.0), 200.0, 0.15),
-        (linear_response(4), 2, (1.0, 2.5), 20.0, 0.7),  # dithered, with a black level
-        (linear_response(4), 0, (1.0, 3.0), 20.0, 0.8),  # dithered, clipped at black
-    ],
+    some(
+        [
+            (linear_response(4), 0, (1.0, 3.0), 40.0, 0.1),  # the quantiser decides
+            (linear_response(4), 0, (1.0, 1.03, 2.9), 1000.0, 0.05),  # interleaved levels
+            (standard_response("srgb", 4), 0, (1.0, 5.0), 200.0, 0.15),
+            (linear_response(4), 2, (1.0, 2.5), 20.0, 0.7),  # dithered, with a black level
+            (linear_response(4), 0, (1.0, 3.0), 20.0, 0.8),  # dithered, clipped at black
+        ],
+        every=2,
+    ),
 )
 def test_light_is_near_the_exact_posterior(
     response: CameraResponse,

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from bracketed_photographs import FEW, TIMES, film, light, photograph, save
 from numpy.typing import NDArray
+from sampling import some
 
 from camctl import CaptureRequest, DataError, PhotographOptions
 from camctl.findings import Finding
@@ -151,7 +152,7 @@ def test_three_photographs_without_a_response_do_not_show_which_label_is_wrong(
     assert all(each.remedies == {"curve": None} for each in found.notes)
 
 
-@pytest.mark.parametrize("labels", ["exact", "auto"])
+@pytest.mark.parametrize("labels", some(["exact", "auto"], every=2))
 def test_where_most_exposures_contradict_the_pixels_decide(opened: Opened, labels: str) -> None:
     """As where a camera was asked for longer times than it has, and did not say so."""
     times = tuple(0.001 * 2.0**k for k in range(8))

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from sampling import some
 
 import camctl
 from camctl.evidence.marks import FALSE_ALARMS
@@ -119,7 +120,7 @@ SETS = [
 ]
 
 
-@pytest.mark.parametrize(("name", "exposures", "noise"), SETS)
+@pytest.mark.parametrize(("name", "exposures", "noise"), some(SETS, every=3))
 def test_light_is_at_least_as_exact_as_rivals_with_the_true_response(
     name: str | int, exposures: tuple[int, ...], noise: FrameNoise, real_data: Path
 ) -> None:
@@ -260,7 +261,7 @@ def windows(rows: int = 192, columns: int = 288) -> Floats:
     return np.asarray(cv2.GaussianBlur(light, (0, 0), 0.7))
 
 
-@pytest.mark.parametrize("quality", [90, 98])
+@pytest.mark.parametrize("quality", some([90, 98], every=2))
 def test_colours_of_jpeg_files_are_as_unsure_as_their_chroma(quality: int) -> None:
     """Standard deviations were up to 30,000 times too small beside windows that saturate."""
     real, exposures, light = camera("srgb"), (1.0, 4.0, 16.0, 64.0), windows()

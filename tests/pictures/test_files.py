@@ -23,7 +23,7 @@ from camctl.records.frame_store import MemoryStore
 
 
 @pytest.mark.parametrize(
-    ("layout", "response"), some(product(Layout, ("linear", "gamma", "log")), every=4)
+    ("layout", "response"), some(product(Layout, ("linear", "gamma", "log")), every=5)
 )
 def test_strips_leave_no_seam(
     layout: Layout, response: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -50,7 +50,7 @@ def test_srgb_codes_invert_the_standard() -> None:
             *((name, "standard") for name in SCENES),
             ("night-street", "complete"),
         ],
-        every=3,
+        every=5,
     ),
 )
 def test_preview_of_each_scene_shows_the_light_in_range(name: str, sensor: str) -> None:
