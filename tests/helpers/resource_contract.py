@@ -1,6 +1,7 @@
 """Run every command at the corners of its numeric options, with limits on memory and time.
 
     python resource_contract.py [--seconds S] [--only TEXT] [--every N]
+    python resource_contract.py --combine {pairs,heavy,random} [--seed K] [--most N] ...
 
 The lines come from the table of options of the command line: each numeric option of each command,
 added to a line of `command_bases.BASES`, at the least and the largest value that its type accepts,
@@ -8,6 +9,11 @@ just beyond them, and at tiny, huge and endless ones where the type has no bound
 process of its own, with 500 MB of memory beyond what the process has before, and S seconds of
 processor time (60).  It must end with a result, or be refused in one line that is not about memory.
 Lines of `COSTLY` may take longer: they show progress, and their pages state the cost.
+
+With --combine, lines have several options at once, numeric ones at the corners that their types
+accept, names and flags as well: rows that hold each pair of values, on the quick line of the
+command (pairs) or with its whole numbers at their largest (heavy), or N random rows.  A row that
+is refused says nothing about its pairs: each of them is run by itself, then.
 
 Prints one JSON object for each line, with what is wrong, its processor time and its memory.
 """
@@ -23,24 +29,29 @@ import signal
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import chdir, redirect_stderr, redirect_stdout
+from contextlib import chdir, redirect_stderr, redirect_stdout, suppress
+from itertools import combinations
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import click
 from command_bases import BASES, COMMANDS, ENDLESS, write_photographs
+from option_combinations import Row, covering, pairs_of, random_rows
 
 from camctl.cli import main as camctl
 from camctl.cli.parameter_types import (
     DynamicRange,
     FrameSize,
     ListOf,
+    Name,
     Number,
     Seconds,
     SettingOf,
     Settings,
     WholeNumber,
 )
+from camctl.errors import CamctlError
 
 MOST_BYTES = 500 << 20
 
@@ -67,6 +78,10 @@ not fit is refused because of its memory."""
 
 LEFT_OUT = {"--workers"}
 """They start processes, each with memory of its own."""
+
+UNCOMBINED = LEFT_OUT | {"--debug", "--size", "--camera-option", "--help"}
+"""Options that are not combined: a traceback is more than one line, and pixels have their own
+limit."""
 
 
 def _beside(value: float, towards: float) -> str:
@@ -139,6 +154,81 @@ def lines() -> Iterator[tuple[str, list[str]]]:
                 )
 
 
+def accepted(option: click.Option, command: str) -> dict[str, list[str]]:
+    """Return the different values of an option, or of each of its fields, that its type accepts."""
+    kind, name = option.type, option.opts[-1]
+    if isinstance(kind, SettingOf):
+        kinds = {f"{name} {field}=": each for field, (_, each) in kind._table.items()}
+    else:
+        kinds = {name: kind}
+    return {
+        label: texts[:1] if f"{command} {label}".strip() in COSTLY else texts
+        for label, each in kinds.items()
+        if (texts := list(_accepted(each, option.is_flag)))
+    }
+
+
+def _accepted(kind: Any, is_flag: bool) -> Iterator[str]:
+    if is_flag:
+        yield ""
+    elif isinstance(kind, Name):
+        yield from kind.names
+    last = math.nan
+    for text in corners(kind):
+        with suppress(CamctlError):
+            value = kind.parse(text, "--option")
+            if isinstance(value, float) and math.isclose(value, last, rel_tol=1e-9):
+                continue
+            last = value if isinstance(value, float) else math.nan
+            yield text
+
+
+def combined_values(command: str) -> dict[str, list[str]]:
+    """Return the values of each option of a command that are combined."""
+    values: dict[str, list[str]] = {}
+    for option in COMMANDS[command].params:
+        if isinstance(option, click.Option) and not UNCOMBINED & set(option.opts):
+            values.update(accepted(option, command))
+    return {name: texts for name, texts in values.items() if f"{command} {name}" not in ENDLESS}
+
+
+def largest(command: str) -> Row:
+    """Return the whole numbers of a command at the largest values that their types accept."""
+    return tuple(
+        (option.opts[-1], str(option.type._most))
+        for option in COMMANDS[command].params
+        if isinstance(option.type, WholeNumber)
+        and option.type._most is not None
+        and not UNCOMBINED & set(option.opts)
+        and f"{command} {option.opts[-1]}" not in COSTLY
+    )
+
+
+def line_of(command: str, base: str, row: Row) -> list[str]:
+    """Return the arguments of a command with values of several options."""
+    given = [*command.split(), *base.split()]
+    for name, text in row:
+        option, _, field = name.partition(" ")
+        if not text:
+            given.append(option)
+        elif option.startswith("--"):
+            given.append(f"{option}={field}{text}")
+        else:
+            given += [option, f"{field}{text}"]
+    return given
+
+
+def rows_of(command: str, how: str, seed: int, most: int) -> Iterator[Row]:
+    """Yield the rows of a command."""
+    random = Random(f"{seed} {command} {how}")
+    values = combined_values(command)
+    if how == "random":
+        yield from random_rows(values, most, random)
+    else:
+        rows = list(covering(values, random))
+        yield from random.sample(rows, min(most, len(rows)))
+
+
 def import_all(commands: Iterable[str], folder: Path) -> None:
     """Run a line of each command in this process: its children need not import anything."""
     for command in commands:
@@ -163,6 +253,7 @@ def run_line(arguments: list[str], seconds: int, folder: Path) -> dict[str, Any]
     found = {
         "seconds": round(used.ru_utime + used.ru_stime, 1),
         "mb": max(0, round(used.ru_maxrss / 1024 - before / 2**20)),
+        "status": os.waitstatus_to_exitcode(status),
     }
     if found["mb"] > MOST_BYTES >> 20:
         return {"wrong": f"{found['mb']} MB", **found}
@@ -186,6 +277,7 @@ def _child(arguments: list[str], seconds: int, folder: Path) -> None:
         sys.stderr = os.fdopen(2, "w", closefd=False)
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+        signal.alarm(4 * seconds)  # a line that waits uses no processor time
         pages = int(Path("/proc/self/statm").read_text().split()[0])
         # Address space is reserved for threads and never used; what is used is looked at later.
         most = pages * resource.getpagesize() + 4 * MOST_BYTES
@@ -221,11 +313,53 @@ def _wrong(status: int, error: str) -> str:
     return ""
 
 
+def single(only: str, every: int) -> Iterator[tuple[str, list[str]]]:
+    """Yield each k-th line of one option, of those whose name contains a text."""
+    for place, (name, arguments) in enumerate(lines()):
+        if only in name and place % every == 0:
+            yield name, arguments
+
+
+class Contract:
+    """Runs lines in a folder of their own, and prints how each ended."""
+
+    def __init__(self, seconds: int, folder: Path) -> None:
+        self.seconds, self.folder = seconds, folder
+
+    def run(self, name: str, arguments: list[str]) -> bool:
+        """Run one line; return whether it was carried out, and not refused."""
+        found = run_line(arguments, self.seconds, self.folder)
+        if _is_excused(name, found["wrong"]):
+            found = {**found, "wrong": "", "excused": found["wrong"]}
+        line = " ".join(arguments)
+        shown = line if len(line) < 400 else f"{line[:300]} ... {line[-80:]}"
+        print(json.dumps({"option": name, "line": shown, **found}), flush=True)
+        return found["status"] not in (1, 2)
+
+    def combine(self, command: str, how: str, seed: int, most: int) -> None:
+        """Run rows of a command; the pairs of those that are refused one by one."""
+        done: set[frozenset[tuple[str, str]]] = set()
+        for k, row in enumerate(rows_of(command, how, seed, most)):
+            base = BASES[command][k % len(BASES[command])]
+            names = {name for name, _ in row}
+            counts = [each for each in largest(command) if how == "heavy" and each[0] not in names]
+            if self.run(command, line_of(command, base, (*counts, *row))) or how == "random":
+                done |= set(pairs_of(row))
+                continue
+            for pair in combinations(row, 2):
+                if frozenset(pair) not in done:
+                    done.add(frozenset(pair))
+                    self.run(command, line_of(command, base, (*counts, *pair)))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--seconds", type=int, default=60)
     parser.add_argument("--only", default="")
     parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--combine", choices=("pairs", "heavy", "random"))
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--most", type=int, default=1 << 30)
     given = parser.parse_args()
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # libraries then start no threads
     with tempfile.TemporaryDirectory() as scratch:
@@ -234,19 +368,17 @@ def main() -> None:
         write_photographs(folder / "work")
         names = {"CAMCTL_CACHE": "cache", "CAMCTL_PROFILES": "profiles", "XDG_STATE_HOME": "state"}
         os.environ.update({name: str(folder / each) for name, each in names.items()})
-        chosen = [
-            each
-            for place, each in enumerate(lines())
-            if given.only in each[0] and place % given.every == 0
-        ]
+        contract = Contract(given.seconds, folder)
+        if given.combine:
+            commands = [each for each in BASES if f"{each} ".startswith(given.only)]
+            import_all(commands, folder)
+            for command in commands:
+                contract.combine(command, given.combine, given.seed, given.most)
+            return
+        chosen = list(single(given.only, given.every))
         import_all(sorted({name.split(" -")[0] for name, _ in chosen}), folder)
         for name, arguments in chosen:
-            found = run_line(arguments, given.seconds, folder)
-            if _is_excused(name, found["wrong"]):
-                found = {**found, "wrong": "", "excused": found["wrong"]}
-            line = " ".join(arguments)
-            shown = line if len(line) < 200 else f"{line[:150]} ... {line[-40:]}"
-            print(json.dumps({"option": name, "line": shown, **found}), flush=True)
+            contract.run(name, arguments)
 
 
 if __name__ == "__main__":
