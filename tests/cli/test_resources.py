@@ -10,10 +10,12 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from random import Random
 
 import pytest
-from command_bases import COMMANDS
-from resource_contract import COSTLY, lines
+from command_bases import BASES, COMMANDS
+from option_combinations import all_pairs, covering, pairs_of
+from resource_contract import COSTLY, combined_values, largest, line_of, lines, rows_of
 
 PROGRAM = Path(__file__).parents[1] / "helpers" / "resource_contract.py"
 
@@ -38,6 +40,27 @@ def test_the_lines_come_from_the_options() -> None:
     assert len(made) > 500
     assert {name.split(" -")[0] for name in made} <= set(COMMANDS)
     assert set(COSTLY) <= set(made)
+
+
+def test_rows_of_combinations_hold_each_pair_of_values() -> None:
+    values = {"--a": ["1", "2", "3"], "--b": ["", "x"], "--c": ["0"], "--d": ["7", "8"]}
+    rows = list(covering(values, Random(1)))
+    assert {pair for row in rows for pair in pairs_of(row)} >= all_pairs(values)
+    assert all(len(dict(row)) == len(row) for row in rows)  # no option twice
+    assert len(rows) < len(all_pairs(values)) / 2
+
+
+def test_combinations_come_from_the_options_of_the_command() -> None:
+    values = combined_values("solve")
+    assert {"1", "16"} <= set(values["--exposures"])
+    assert "0.2" in values["--jitter"]
+    assert values["--certificate"] == [""]
+    assert {"--exposures": "16", "--bits": "16"}.items() <= dict(largest("solve")).items()
+    rows = list(rows_of("solve", "pairs", 0, 20))
+    assert rows == list(rows_of("solve", "pairs", 0, 20))  # the same rows each time
+    assert len(rows) == 20
+    line = line_of("solve", BASES["solve"][0], (("--certificate", ""), ("--jitter", "0.2")))
+    assert line == ["solve", "-n", "2", "--bits", "3", "--certificate", "--jitter=0.2"]
 
 
 def test_a_very_narrow_range_is_no_memory_bomb() -> None:
