@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".tiff", ".tif", ".png", ".npy")
 DEFAULT_SENSOR = "complete"
-"""The sensor that has every effect."""
+"""The sensor that has the most effects."""
 
 
 @dataclass(frozen=True)
@@ -249,9 +249,12 @@ def _to_json(
 
 
 def _to_text(frame: _SimulatedFrame, *, explain: bool) -> str:
+    from camctl.sim.effects.record import Lacking
+
     facts, plan = frame.properties, frame.plan
     simulated = [effect.name for effect in plan.effects if effect.ran]
     left_out = [effect.name for effect in plan.effects if effect.name in plan.left_out]
+    unmodelled = [each.name for each in plan.effects if each.lacking is Lacking.MODEL]
     exposure = f"{format_duration(facts['time_s'])}, gain {format_number(facts['gain'], 4)}"
     rows = [
         ("frame", f"{facts['width']} x {facts['height']}, {facts['layout']}"),
@@ -264,6 +267,7 @@ def _to_text(frame: _SimulatedFrame, *, explain: bool) -> str:
         ("saturated", format_percent(facts["saturated_fraction"])),
         ("effects simulated", ", ".join(simulated)),
         ("effects left out", ", ".join(left_out) or "none"),
+        ("not modelled", ", ".join(unmodelled) or "none"),
         (
             "error by those",
             f"at most {format_number(plan.joint_bound_dn, 3)} DN in any sample before the ADC "
@@ -274,7 +278,7 @@ def _to_text(frame: _SimulatedFrame, *, explain: bool) -> str:
     if not explain:
         return format_fields(rows)
     if frame.comparison is not None:
-        rows[6:6] = _comparison_rows(frame.comparison, plan)
+        rows[7:7] = _comparison_rows(frame.comparison, plan)
     lines = [_effect_line(effect, plan) for effect in plan.effects]
     header = ("effect", "simulated", "bound, DN", "time, ms", "saved, ms", "reason")
     table = format_table(header, lines, right_aligned=(2, 3, 4))

@@ -11,7 +11,7 @@ from typing import Any
 from camctl.errors import UsageError
 from camctl.sim.effects import EFFECTS, check_names
 from camctl.sim.effects.bounds import Bounds
-from camctl.sim.effects.record import Effect, Shot
+from camctl.sim.effects.record import Effect, Lacking, Shot
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Decision:
         own_dn: the same but for streaks of charge from full wells, which it can end earlier
         ran: whether the frame has it
         why: the reason, for users
-        is_present: whether scene and sensor have it at all
+        lacking: why scene and sensor do not have it; None if they have it
         milliseconds: time of the effect in a frame of this size, by its cost on one core
     """
 
@@ -34,7 +34,7 @@ class Decision:
     own_dn: float
     ran: bool
     why: str
-    is_present: bool = True
+    lacking: Lacking | None = None
     milliseconds: float = 0.0
 
     def as_data(self) -> dict[str, Any]:
@@ -45,6 +45,7 @@ class Decision:
             "own_dn": self.own_dn if math.isfinite(self.own_dn) else None,
             "ran": self.ran,
             "why": self.why,
+            "lacking": None if self.lacking is None else self.lacking.name.lower(),
             "milliseconds": self.milliseconds,
         }
 
@@ -180,7 +181,8 @@ def _decision(effect: Effect, plan: FramePlan) -> Decision:
     name, bounds, tolerance_dn, chosen = effect.name, plan.bounds, plan.tolerance_dn, plan.left_out
     shot = bounds.shot
     if name not in bounds.changes:
-        return Decision(name, 0.0, 0.0, False, "neither scene nor sensor has it", is_present=False)
+        lacking = effect.lacking(shot)
+        return Decision(name, 0.0, 0.0, False, str(lacking), lacking=lacking)
     alone = bounds.single[name]
     own = bounds.own[name]
     change = bounds.changes[name]

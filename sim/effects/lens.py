@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.sim.effects.record import Change, Effect, Light, Shot, Stage
+from camctl.sim.effects.record import Change, Effect, Lacking, Light, Shot, Stage
 from camctl.system.picture_operations import (
     enlarged_smoothly,
     reduced_by_area,
@@ -237,6 +237,7 @@ LENS = (
         present=_has_lateral_colour,
         change=_lateral_change,
         cost=4.5,
+        lacking=lambda s: Lacking.KIND if s.sensor.lens.lateral_colour > 0 else Lacking.MODEL,
         picture=_lateral_colour,
     ),
 )

@@ -8,7 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from camctl.sim.effects.lens import LENS, glare_bend
-from camctl.sim.effects.record import Change, Effect, Light, Lines, RowTiming, Shot, Stage
+from camctl.sim.effects.record import (
+    Change,
+    Effect,
+    Lacking,
+    Light,
+    Lines,
+    RowTiming,
+    Shot,
+    Stage,
+)
 from camctl.sim.scenes.motion import Lamps, PwmLamps
 from camctl.system.picture_operations import correlated
 
@@ -125,6 +134,7 @@ OPTICS = (
         present=_has_moving_target,
         change=_motion_change,
         cost=3.0,
+        lacking=lambda _: Lacking.SCENE,
         timing=_blur_motion,
     ),
     Effect(
@@ -134,6 +144,7 @@ OPTICS = (
         present=_has_rolling_shutter,
         change=_rolling_change,
         cost=0.3,
+        lacking=lambda s: Lacking.SCENE if s.sensor.read_out.row_s > 0 else Lacking.MODEL,
         timing=_roll,
     ),
     *LENS,
@@ -144,6 +155,7 @@ OPTICS = (
         present=lambda shot: shot.view.layout.is_mosaic,
         change=lambda _: Change(never="never left out: it determines the colour of each sample"),
         cost=0.0,
+        lacking=lambda _: Lacking.KIND,
     ),
     Effect(
         "vignetting",
@@ -170,6 +182,7 @@ OPTICS = (
         present=lambda shot: isinstance(shot.view.lamps, Lamps),
         change=_flicker_change,
         cost=0.4,
+        lacking=lambda _: Lacking.SCENE,
         lines=_flicker_lines,
     ),
     Effect(
@@ -180,6 +193,7 @@ OPTICS = (
         present=lambda shot: isinstance(shot.view.lamps, PwmLamps),
         change=_flicker_change,
         cost=0.5,
+        lacking=lambda _: Lacking.SCENE,
         lines=_flicker_lines,
     ),
 )

@@ -8,6 +8,7 @@ from camctl.sim.effects.record import (
     LARGEST_NOISE,
     Change,
     Effect,
+    Lacking,
     Lines,
     RowTiming,
     Shot,
@@ -184,6 +185,7 @@ READ_OUT = (
         present=lambda shot: shot.sensor.curve != "linear",
         change=lambda _: Change(never=_SETS_BRIGHTNESS),
         cost=0.0,
+        lacking=lambda _: Lacking.KIND,
     ),
     Effect(
         "black level",
@@ -192,6 +194,7 @@ READ_OUT = (
         present=lambda shot: shot.sensor.black > 0,
         change=lambda _: Change(never=_SETS_BRIGHTNESS),
         cost=0.0,
+        lacking=lambda _: Lacking.KIND,
     ),
     Effect(
         "quantisation",

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 from typing import TypeAlias
 
 import numpy as np
@@ -46,6 +46,14 @@ class Stage(IntEnum):
     WELL = 5
     READING = 6
     ADC = 7
+
+
+class Lacking(StrEnum):
+    """Why a frame lacks an effect that nobody has left out, in words for users."""
+
+    MODEL = "this sensor does not model it"
+    SCENE = "nothing in the scene causes it"
+    KIND = "this kind of sensor has none"
 
 
 @dataclass(frozen=True)
@@ -295,6 +303,7 @@ class Effect:
         model: the model, where it comes from, and its units
         present: returns whether sensor and scene have it at all
         change: returns what leaving it out changes
+        lacking: returns why sensor and scene do not have it, where `present` is false
         cost: nanoseconds for each of `samples`, measured on one core (bench_sensor_costs.py)
         varies: what `change` depends on from frame to frame of the same exposure, if on anything
         timing: for `Stage.SCENE`, returns the timing as the effect changes it
@@ -310,6 +319,7 @@ class Effect:
     present: Callable[[Shot], bool]
     change: Callable[[Shot], Change]
     cost: float
+    lacking: Callable[[Shot], Lacking] = lambda _: Lacking.MODEL
     varies: Callable[[Shot], Hashable] | None = None
     timing: Callable[[RowTiming, Shot], RowTiming] | None = None
     picture: Callable[[Light, Shot], Light] | None = None

@@ -29,7 +29,15 @@ def test_json_output_describes_frame_and_effects(run: Run) -> None:
     output = run("simulate", *SMALL, "--json").json
     assert {"tolerance_dn", "joint_bound_dn", "effects", "seconds"} <= set(output)
     for effect in output["effects"]:
-        assert set(effect) == {"name", "bound_dn", "own_dn", "ran", "why", "milliseconds"}
+        assert set(effect) == {
+            "name",
+            "bound_dn",
+            "own_dn",
+            "ran",
+            "why",
+            "lacking",
+            "milliseconds",
+        }
     assert decisions(output)["photon noise"]
     assert not decisions(output)["colour mosaic"]
     assert (output["width"], output["height"]) == (64, 48)
@@ -64,6 +72,10 @@ def test_text_output_describes_the_frame(run: Run) -> None:
     ran = run("simulate", *SMALL, "--time", "1/50")
     for text in ("64 x 48, mono", "20 ms, gain 1", "photon noise", "none; -o FILE writes one"):
         assert text in ran.out
+    plain = run("simulate", *SMALL, "--sensor", "standard")
+    named = re.search("^not modelled +(.*)$", plain.out, re.MULTILINE)
+    assert named is not None
+    assert {"PRNU", "dark current"}.issubset(named[1].split(", "))
     assert ran.err == ""
 
 

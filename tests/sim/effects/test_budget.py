@@ -18,7 +18,7 @@ from camctl.sim.effects import EFFECTS, effect_names
 from camctl.sim.effects.bounds import Bounds, absolute_shift, relative_shift
 from camctl.sim.effects.budget import FramePlan, candidates, greedy, plan_frame, saved
 from camctl.sim.effects.charge import cosmic_hits
-from camctl.sim.effects.record import Shot
+from camctl.sim.effects.record import Lacking, Shot
 from camctl.sim.noise import TileNoise, largest_noise, normal_quantiles
 from camctl.sim.render import Renderer
 from camctl.sim.scenes.scene import load_scene
@@ -140,11 +140,30 @@ def test_a_plan_can_be_written_as_json() -> None:
     assert 0 < data["joint_bound_dn"] <= 0.5
     assert [effect["name"] for effect in data["effects"]] == list(effect_names())
     for effect in data["effects"]:
-        assert set(effect) == {"name", "bound_dn", "own_dn", "ran", "why", "milliseconds"}
+        assert set(effect) == {
+            "name",
+            "bound_dn",
+            "own_dn",
+            "ran",
+            "why",
+            "lacking",
+            "milliseconds",
+        }
         assert effect["why"]
     never = next(effect for effect in data["effects"] if effect["name"] == "quantisation")
     assert never["bound_dn"] is None
     assert never["why"] == "never left out: pixel values are whole numbers"
+
+
+def test_what_a_sensor_does_not_model_is_told_from_what_the_scene_lacks() -> None:
+    plain = plan_frame(a_shot("ramp", "standard", 0.001), 0.5).effects
+    unmodelled = {one.name for one in plain if one.lacking is Lacking.MODEL}
+    assert unmodelled.issuperset(("PRNU", "dark current", "blooming", "vignetting"))
+    assert not unmodelled & {"mains flicker", "motion blur", "colour mosaic", "read noise"}
+    whole = plan_frame(a_shot("ramp", "complete", 0.001), 0.5).effects
+    left = {one.name for one in whole if one.lacking is Lacking.MODEL}
+    assert left < unmodelled
+    assert not left & {"PRNU", "dark current", "blooming", "vignetting"}
 
 
 def test_each_decision_gives_its_reason() -> None:
@@ -152,8 +171,8 @@ def test_each_decision_gives_its_reason() -> None:
     whole = plan_frame(dim, 0.5)
     plan = {one.name: one for one in whole.effects}
     together = f"{whole.joint_bound_dn:.3g} DN with all others left out"
-    assert plan["mains flicker"].why == "neither scene nor sensor has it"
-    assert not plan["mains flicker"].is_present
+    assert plan["mains flicker"].lacking is Lacking.SCENE
+    assert plan["response curve"].lacking is Lacking.KIND
     assert plan["DSNU"].why == f"changes at most {plan['DSNU'].own_dn:.3g} DN alone, {together}"
     assert plan["full well"].why == "changes nothing in this frame"
     assert plan["photon noise"].why.endswith("DN, more than the tolerance of 0.5 DN")
