@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
@@ -21,6 +22,7 @@ from camctl.errors import (
     StorageError,
     UsageError,
 )
+from camctl.exposure.brackets import OFFERED, bracket
 from camctl.exposure.goal import AUTO, CaptureRequest
 from camctl.interface.backends import list_cameras
 from camctl.interface.camera import Camera, CameraCondition, Frame, PreviewingCamera, StatingCamera
@@ -32,11 +34,14 @@ from camctl.menu.data import (
     Cost,
     Loaded,
     Past,
+    Picture,
     Plan,
     Progress,
     Reading,
+    Rival,
     Settings,
     Summary,
+    Traced,
 )
 from camctl.menu.live_view import LiveView, Sight
 from camctl.menu.settings_file import load_settings, save_settings
@@ -54,6 +59,7 @@ from camctl.system.memory import return_free_memory
 
 if TYPE_CHECKING:  # the idle menu does not load what captures are made with
     from camctl.captures.response_preview import PreviewedLight
+    from camctl.exposure.search.front import Front, FrontPoint
     from camctl.records.capture_plan import CapturePlan
     from camctl.records.report import CaptureReport
 
@@ -228,10 +234,10 @@ class CameraJob:
         except (UsageError, CaptureError) as error:
             return Cost(problem=error.what)
         shutter_s = plan.shutter_s / plan.base_s if is_relative else plan.shutter_s
-        picture = None
+        draw = None
         if (light := self._previewed_light(camera, plan)) is not None:
             shown = light.panel(plan.response, plan).stored
-            picture = None if shown is None else sampled_picture(shown, _PREVIEW_SIDE)
+            draw = None if shown is None else partial(sampled_picture, shown, _PREVIEW_SIDE)
         return Cost(
             len(plan.settings),
             shutter_s,
@@ -239,7 +245,7 @@ class CameraJob:
             plan.effective_levels,
             plan.noise is not None,
             is_relative,
-            picture=picture,
+            draw=draw,
         )
 
     def _previewed_light(self, camera: Camera, plan: CapturePlan) -> PreviewedLight | None:
@@ -256,8 +262,10 @@ class CameraJob:
             self._previewed_until_s = time.monotonic() + _PREVIEW_AGE_S
         return self._previewed
 
-    def trace(self, choice: Choice, cancelled: Callable[[], bool]) -> tuple[Cost, ...]:
-        """Return the most accurate settings for each time, the quickest first.
+    def trace(self, choice: Choice, cancelled: Callable[[], bool]) -> Traced:
+        """Return the most accurate settings for each time, and brackets to compare them with.
+
+        The brackets are there for a page only, as are the pictures.
 
         Raises:
             UsageError: the noise of the camera is unknown
@@ -269,29 +277,31 @@ class CameraJob:
             return plan, self._previewed_light(camera, plan)
 
         plan, light = self._with_camera(plan_with)
-        if plan.front is None:
+        front = plan.front
+        if front is None:
             raise UsageError(
                 "the noise of this camera is unknown, and with it what accuracy costs",
                 remedies={"calibrate_noise": None},
             )
-        return tuple(
-            Cost(
+
+        def point_cost(point: FrontPoint) -> Cost:
+            draw = None
+            if light is not None:
+                draw = partial(_noisy_picture, light, replace(plan, settings=point.settings))
+            return Cost(
                 point.n,
                 sum(setting.time_s for setting in point.settings),
                 point.time_s,
                 point.levels,
                 noise_known=True,
                 dynamic_range=plan.dynamic_range,
-                is_recommended=point == plan.front.recommended,
+                is_recommended=point == front.recommended,
                 frames=tuple(map(setting_text, point.settings)),
-                picture=None
-                if light is None
-                else sampled_picture(
-                    light.noisy_picture(replace(plan, settings=point.settings)), _PREVIEW_SIDE
-                ),
+                draw=draw,
             )
-            for point in plan.front.points
-        )
+
+        points = tuple(map(point_cost, front.points))
+        return Traced(points, () if self._sight is None else tuple(_rivals(front, cancelled)))
 
     def plan(self, choice: Choice, cancelled: Callable[[], bool]) -> Plan:
         """Meter, look up the exposures, and choose among the settings of the camera.
@@ -428,3 +438,17 @@ class _RememberedPreviews:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _noisy_picture(light: PreviewedLight, plan: CapturePlan) -> Picture:
+    return sampled_picture(light.noisy_picture(plan), _PREVIEW_SIDE)
+
+
+def _rivals(front: Front, cancelled: Callable[[], bool]) -> Iterator[Rival]:
+    """Yield what brackets that cameras offer bring, but for those beyond the camera."""
+    for count, stops in OFFERED:
+        if cancelled():
+            return
+        with suppress(CaptureError):
+            settings = bracket(front.controls, front.limit_s, count, stops)
+            yield Rival(count, stops, front.time_of(settings), front.levels_of(settings))

@@ -5,6 +5,7 @@ The first screen is there before the controller is loaded, so that nothing here 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 
@@ -96,7 +97,7 @@ class Cost:
         is_recommended: beyond it more time pays no more than averaging does
         problem: why the choice is impossible; the other fields are not used then
         frames: text of each setting, where they are listed
-        picture: what the scene would look like; None: it is not known
+        draw: returns what the scene would look like; None: it is not known
     """
 
     count: int = 0
@@ -109,7 +110,37 @@ class Cost:
     is_recommended: bool = False
     problem: str = ""
     frames: tuple[str, ...] = ()
-    picture: Picture | None = None
+    draw: Callable[[], Picture] | None = None
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A bracket that cameras offer, to compare the points of the front with.
+
+    Attributes:
+        count: frames
+        stops: between one frame and the next
+        wall_s: about how long it takes, s
+        effective_levels: as those of `Cost`
+    """
+
+    count: int
+    stops: int
+    wall_s: float
+    effective_levels: float
+
+
+@dataclass(frozen=True)
+class Traced:
+    """What accuracy costs in time.
+
+    Attributes:
+        points: of ascending time and accuracy
+        rivals: brackets of fixed steps, where a page shows them
+    """
+
+    points: tuple[Cost, ...]
+    rivals: tuple[Rival, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,17 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from camctl.menu.data import CameraEntry, Cost, Loaded, Plan, Progress, Reading, Settings, Summary
+from camctl.menu.data import (
+    CameraEntry,
+    Cost,
+    Loaded,
+    Plan,
+    Progress,
+    Reading,
+    Settings,
+    Summary,
+    Traced,
+)
 from camctl.menu.entries import CHANGEABLE, KEPT, TIMERS, choice, requested, rows, seconds
 from camctl.menu.model import Action, Goal, Model, State
 from camctl.menu.ports import Key
@@ -94,7 +104,7 @@ def _enter(model: Model, state: State) -> tuple[Model, Effect | None]:
     if work is Work.PREDICT:
         model = replace(model, costs=(None,) * len(rows(model)))
     if work is Work.TRACE:
-        model = replace(model, front=(), note="")
+        model = replace(model, front=(), rivals=(), note="")
     return _started(replace(model, progress=None), work)
 
 
@@ -175,8 +185,9 @@ def _with_value(model: Model, event: Event) -> Model:
             return replace(model, progress=value)
         case _, Summary():
             return replace(model, summary=value)
-        case Outcome.DONE, tuple() if model.state is State.FRONT:
-            return replace(model, front=value, cursor=_recommended(value))
+        case Outcome.DONE, Traced():
+            cursor = _recommended(value.points)
+            return replace(model, front=value.points, rivals=value.rivals, cursor=cursor)
         case Outcome.DONE, tuple() if model.state is State.SEARCHING:
             found = [each for each in value if isinstance(each, CameraEntry)]
             ids = [each.id for each in found]
@@ -193,11 +204,9 @@ def selected(model: Model) -> int:
     return getattr(model.settings, name) if name else model.cursor
 
 
-def _recommended(front: tuple[object, ...]) -> int:
+def _recommended(front: tuple[Cost, ...]) -> int:
     """Return the place of the recommended point."""
-    places = [
-        place for place, each in enumerate(front) if isinstance(each, Cost) and each.is_recommended
-    ]
+    places = [place for place, each in enumerate(front) if each.is_recommended]
     return places[0] if places else 0
 
 

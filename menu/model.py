@@ -13,6 +13,7 @@ from camctl.menu.data import (
     Plan,
     Progress,
     Reading,
+    Rival,
     Settings,
     Summary,
 )
@@ -103,6 +104,7 @@ class Model:
         offset: first line of a page to show
         costs: what each entry of the list costs; None: not predicted yet
         front: the points of the list *Time / accuracy*, the quickest first
+        rivals: what they are compared with, where a page shows it
         point: the one that was chosen, and what its list was for
         reading: the last reading of the exposure meter
         plan: the plan that the review shows and that will be shot
@@ -125,6 +127,7 @@ class Model:
     offset: int = 0
     costs: tuple[Cost | None, ...] = ()
     front: tuple[Cost, ...] = ()
+    rivals: tuple[Rival, ...] = ()
     point: tuple[Cost, Choice] | None = None
     reading: Reading | None = None
     plan: Plan | None = None

@@ -21,6 +21,7 @@ from camctl.menu.data import (
     Reading,
     Settings,
     Summary,
+    Traced,
 )
 
 
@@ -159,8 +160,8 @@ class Job(Protocol):
     def predict(self, choices: Sequence[Choice], cancelled: Callable[[], bool]) -> Iterator[Cost]:
         """Yield the cost of each choice; end early where `cancelled` returns True."""
 
-    def trace(self, choice: Choice, cancelled: Callable[[], bool]) -> tuple[Cost, ...]:
-        """Return what accuracy costs in time: points of ascending time and accuracy."""
+    def trace(self, choice: Choice, cancelled: Callable[[], bool]) -> Traced:
+        """Return what accuracy costs in time."""
         ...
 
     def plan(self, choice: Choice, cancelled: Callable[[], bool]) -> Plan:

@@ -6,11 +6,13 @@ All begin at the same metered base: full scale of the shortest exposure is E = 1
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 from camctl.errors import CaptureError
+from camctl.exposure.brackets import bracket as fixed_steps
+from camctl.exposure.brackets import near_gain_1
 from camctl.exposure.build import look_up
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.search.front import Front
@@ -50,28 +52,9 @@ class Bracket:
         assert self.request.count is not None  # it is given
         return self.request.count
 
-    @property
-    def longest(self) -> float:
-        """The longest shutter time in units of the base."""
-        return self.controls.time_s.maximum / self.base_s
-
-    def at_gain(self, exposures: tuple[float, ...]) -> tuple[ExposureSetting, ...]:
+    def at_gain(self, exposures: Sequence[float]) -> tuple[ExposureSetting, ...]:
         """Return settings at gain 1 for relative exposures; gain extends the longest time."""
-        time, gain = self.controls.time_s, self.controls.gain
-        lowest = gain.nearest(1.0)
-        settings = []
-        for exposure in exposures:
-            more = max(1.0, exposure / self.longest)
-            if lowest * more > gain.maximum * (1 + 1e-6):
-                raise CaptureError(
-                    f"an exposure of {exposure:.4g} x {self.base_s:.4g} s is beyond the camera's "
-                    "longest time and largest gain",
-                    hint="take fewer exposures or a smaller range",
-                )
-            applied_gain = gain.nearest(lowest * more)
-            time_s = time.nearest(exposure * self.base_s * lowest / applied_gain)
-            settings.append(ExposureSetting(time_s, applied_gain))
-        return tuple(settings)
+        return near_gain_1(self.controls, self.base_s, exposures)
 
 
 def _xi(bracket: Bracket) -> tuple[ExposureSetting, ...]:
@@ -84,7 +67,7 @@ def _paper(bracket: Bracket) -> tuple[ExposureSetting, ...]:
 
 
 def _stops(stops: float, bracket: Bracket) -> tuple[ExposureSetting, ...]:
-    return bracket.at_gain(tuple(2.0 ** (stops * place) for place in range(bracket.count)))
+    return fixed_steps(bracket.controls, bracket.base_s, bracket.count, stops)
 
 
 def _hasinoff(bracket: Bracket) -> tuple[ExposureSetting, ...]:

@@ -29,6 +29,7 @@ def state_of(model: Model, screen: Screen) -> dict[str, Any]:
         "entries": [_entry(each.action) for each in rows(model)],
         "costs": [_cost(each) for each in model.costs],
         "front": [_cost(each) for each in model.front],
+        "rivals": [_fields(each) for each in model.rivals],
         "chosen": _chosen(model),
         "camera": _fields(model.camera),
         "captures": [_fields(each) for each in model.captures],
@@ -64,5 +65,5 @@ def _fields(value: Any, *left_out: str) -> dict[str, Any] | None:
 
 
 def _cost(cost: Cost | None) -> dict[str, Any] | None:
-    found = _fields(cost)
-    return found and {**found, "has_picture": cost is not None and cost.picture is not None}
+    found = _fields(cost, "draw")
+    return found and {**found, "has_picture": cost is not None and cost.draw is not None}

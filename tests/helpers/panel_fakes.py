@@ -20,6 +20,7 @@ from camctl.menu.data import (
     Reading,
     Settings,
     Summary,
+    Traced,
 )
 from camctl.menu.layout import grid
 from camctl.menu.ports import Key, Screen
@@ -136,11 +137,11 @@ class FakeJob:
         for _ in choices:
             yield COST
 
-    def trace(self, choice: Choice, cancelled: Callable[[], bool]) -> tuple[Cost, ...]:
+    def trace(self, choice: Choice, cancelled: Callable[[], bool]) -> Traced:
         """Return three points, the second recommended."""
         self.traced.append(choice)
         self._call_before("trace")
-        return FRONT
+        return Traced(FRONT)
 
     def plan(self, choice: Choice, cancelled: Callable[[], bool]) -> Plan:
         """Return a plan with one exposure for each of `choice`."""

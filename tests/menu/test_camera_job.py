@@ -25,6 +25,7 @@ from camctl.menu.data import Choice, Past, Settings
 from camctl.menu.entries import choice, requested
 from camctl.menu.model import Goal, Model
 from camctl.menu.ports import Key
+from camctl.menu.studio.sight import Sight
 from camctl.sim.camera import Faults, SimulatedCamera
 from camctl.sim.scenes.scene import load_scene
 from camctl.sim.sensors.sensor import load_sensor
@@ -142,7 +143,7 @@ def test_points_of_the_front_are_planned_as_they_are_listed(
     camera: RecordingCamera, tmp_path: Path
 ) -> None:
     job = job_with(camera, tmp_path)
-    front = job.trace(Choice("log", None), never)
+    front = job.trace(Choice("log", None), never).points
     assert [point.is_recommended for point in front].count(True) == 1
     assert max(point.count for point in front) > 6
     assert [point.effective_levels for point in front] == sorted(p.effective_levels for p in front)
@@ -152,6 +153,17 @@ def test_points_of_the_front_are_planned_as_they_are_listed(
         plan = job.plan(requested(model), never)
         assert plan.dynamic_range == point.dynamic_range
         assert plan.effective_levels == pytest.approx(point.effective_levels, rel=0.02)
+
+
+def test_brackets_that_cameras_offer_are_not_better_than_the_front(
+    camera: RecordingCamera, tmp_path: Path
+) -> None:
+    job = CameraJob(lambda _: (camera, {}), tmp_path, tmp_path / "menu.json", sight=Sight())
+    traced = job.trace(Choice("log", 256.0), never)
+    assert {(rival.count, rival.stops) for rival in traced.rivals} >= {(3, 1), (5, 1), (3, 2)}
+    for rival in traced.rivals:
+        asked = Choice("log", 256.0, time_budget_s=rival.wall_s)
+        assert job.plan(asked, never).effective_levels > 0.998 * rival.effective_levels
 
 
 def test_without_noise_there_is_no_front(tmp_path: Path) -> None:

@@ -122,6 +122,7 @@ class Front:
 
     Attributes:
         has_noise: whether the camera's noise is known and counted in
+        limit_s: longest shutter time of the shortest exposure, s
 
     Raises:
         CaptureError: the given base exposure is beyond the camera's shutter times
@@ -137,6 +138,7 @@ class Front:
         before: ExposureSetting | None = None,
     ) -> None:
         self.controls, self.desired, self._before = controls, desired, before
+        self.limit_s = limit_s
         self._request = request or CaptureRequest()
         self.has_noise = controls.noise is not None
         count = self._request.count
@@ -310,7 +312,7 @@ class Front:
         levels *= judge.estimated(self._shots(shorter)) / judge.estimated(
             self._shots(point.settings)
         )
-        time_s = predicted_wall_s(self.controls, shorter, before=self._before)
+        time_s = self.time_of(shorter)
         return replace(point, settings=tuple(shorter), time_s=time_s, levels=levels)
 
     def _shots(self, settings: Sequence[ExposureSetting]) -> Shots:
@@ -391,12 +393,20 @@ class Front:
         changed = max(abs(math.log(a / b)) for a, b in zip(exposures, ratios, strict=True))
         levels = rated.levels
         if is_exact:
-            camera = EffectiveCamera.of(controls.levels, exposures)
-            levels = noisy_effective_levels(camera, self.desired, controls.frame_noise(settings))
+            levels = self.levels_of(settings)
         elif changed > _SAME_LEVELS:
             sets, shots = self._sets, self._shots(settings)
             levels *= sets.judge.estimated(shots) / sets.judge.estimated(rated.shots)
             if not sets.dithered:
                 levels = sets.judge(shots).levels
-        time_s = predicted_wall_s(controls, settings, before=self._before)
-        return FrontPoint(tuple(settings), ratios, time_s, levels)
+        return FrontPoint(tuple(settings), ratios, self.time_of(settings), levels)
+
+    def levels_of(self, settings: Sequence[ExposureSetting]) -> float:
+        """Return the exact effective levels of settings, the noise counted in."""
+        controls = self.controls
+        camera = EffectiveCamera.of(controls.levels, controls.relative_exposures(settings))
+        return noisy_effective_levels(camera, self.desired, controls.frame_noise(settings))
+
+    def time_of(self, settings: Sequence[ExposureSetting]) -> float:
+        """Return the predicted time of settings, from the request until the last frame, s."""
+        return predicted_wall_s(self.controls, settings, before=self._before)

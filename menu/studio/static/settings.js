@@ -6,11 +6,12 @@ let root;
 export default {
   start(element) { root = element; },
   show(state) {
+    const detail = state.state === "settings" ? "Press an entry to change it." : state.detail;
     root.replaceChildren(
       h("div", {class: "buttons", role: "group", "aria-label": "settings"},
         [["settings", "Settings"], ["searching", "Camera"], ["about", "About"]].map(
           ([name, title]) => h("button", {"aria-pressed": String(state.state === name),
             onclick: () => command({state: name})}, title))),
-      h("div", {class: "card"}, words(state)));
+      h("div", {class: "card"}, words({...state, detail})));
   },
 };

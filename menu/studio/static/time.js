@@ -4,37 +4,74 @@ import {choose, command, details, h, levels, renew, svg, time} from "./studio.js
 const WIDTH = 640, HEIGHT = 300, LEFT = 60, RIGHT = 20, TOP = 14, BOTTOM = 58;
 let root, dial, picture, facts, slider, drawn = null, sent = -1;
 
-function scale(front) {
-  const times = front.map(each => Math.log(each.wall_s));
-  const counts = front.map(each => Math.log(each.effective_levels));
+/* The functions from a point or a rival to its place; the curve and the rivals fit in. */
+function scale(front, rivals) {
+  const all = [...front, ...rivals];
+  const times = all.map(each => Math.log(each.wall_s));
+  const counts = all.map(each => Math.log(each.effective_levels));
   const span = (values, low, high) => {
     const first = Math.min(...values), last = Math.max(...values);
     return value => low + (high - low) * (last > first ? (value - first) / (last - first) : 0.5);
   };
   const x = span(times, LEFT, WIDTH - RIGHT), y = span(counts, HEIGHT - BOTTOM, TOP + 12);
-  return front.map((each, at) => [x(times[at]), y(counts[at])]);
+  return each => [x(Math.log(each.wall_s)), y(Math.log(each.effective_levels))];
 }
 
-function draw(front, selected) {
+/* The time that the curve needs for the levels of a rival; null: it does not reach them. */
+function timeOf(front, wanted) {
+  const above = front.findIndex(each => each.effective_levels >= wanted);
+  if (above <= 0) { return above < 0 ? null : front[0].wall_s; }
+  const [low, high] = [front[above - 1], front[above]];
+  const share = Math.log(wanted / low.effective_levels) /
+    Math.log(high.effective_levels / low.effective_levels);
+  return low.wall_s * (high.wall_s / low.wall_s) ** share;
+}
+
+const nameOf = rival => `${rival.count} frames, ${rival.stops} stop${rival.stops > 1 ? "s" : ""}`;
+
+function rivalTable(front, rivals) {
+  const rows = rivals.map(each => {
+    const own = timeOf(front, each.effective_levels);
+    return [nameOf(each), time(each.wall_s), levels(each.effective_levels),
+      own === null ? "-" : time(own)];
+  });
+  const line = (kind, cells) => h("tr", {}, cells.map(text => h(kind, {}, text)));
+  return h("details", {class: "rivals"},
+    h("summary", {}, "Crosses: brackets that cameras offer"),
+    h("table", {}, line("th", ["bracket", "time", "levels", "here as accurate in"]),
+      rows.map(cells => line("td", cells))));
+}
+
+function draw(front, rivals, selected) {
   const size = dial.getBoundingClientRect().width < 450 ? 24 : 15;
-  const places = scale(front), [x, y] = places[selected], point = front[selected];
+  const place = scale(front, rivals), places = front.map(place);
+  const [x, y] = places[selected], point = front[selected];
+  const slowest = [...front, ...rivals].reduce((a, b) => a.wall_s > b.wall_s ? a : b);
+  const quickest = [...front, ...rivals].reduce((a, b) => a.wall_s < b.wall_s ? a : b);
+  const worst = [...front, ...rivals].reduce((a, b) =>
+    a.effective_levels < b.effective_levels ? a : b);
   const label = (text, at, anchor) => svg("text", {x: at[0], y: at[1], fill: "#b9c2cc",
     "font-size": size, "text-anchor": anchor}, text);
   const parts = [
     svg("line", {x1: LEFT, y1: HEIGHT - BOTTOM, x2: WIDTH - RIGHT, y2: HEIGHT - BOTTOM,
       stroke: "#4a5563"}),
-    label(time(front[0].wall_s), [LEFT, HEIGHT - 34], "start"),
-    label(time(front.at(-1).wall_s), [WIDTH - RIGHT, HEIGHT - 34], "end"),
+    label(time(quickest.wall_s), [LEFT, HEIGHT - 34], "start"),
+    label(time(slowest.wall_s), [WIDTH - RIGHT, HEIGHT - 34], "end"),
     label("time of the capture", [(LEFT + WIDTH) / 2, HEIGHT - 4], "middle"),
-    label(levels(front[0].effective_levels), [LEFT - 8, HEIGHT - BOTTOM], "end"),
+    label(levels(worst.effective_levels), [LEFT - 8, HEIGHT - BOTTOM], "end"),
     label(levels(front.at(-1).effective_levels), [LEFT - 8, TOP + 16], "end"),
     svg("polyline", {points: places.map(each => each.join(",")).join(" "), fill: "none",
       stroke: "#9ec5ff", "stroke-width": 2}),
+    ...rivals.map(each => {
+      const [cx, cy] = place(each);
+      return svg("path", {d: `M${cx - 5},${cy - 5}l10,10m0,-10l-10,10`, stroke: "#e3a857",
+        "stroke-width": 2}, svg("title", {}, nameOf(each)));
+    }),
     svg("line", {x1: x, y1: y, x2: x, y2: HEIGHT - BOTTOM, stroke: "#9ec5ff",
       "stroke-dasharray": "4 4"}),
     ...places.map(([px, py], at) => svg("circle", {cx: px, cy: py, r: at === selected ? 12
-      : front[at].is_recommended ? 7 : 5, fill: at === selected ? "#2563a8"
-      : front[at].is_recommended ? "#7fd99a" : "#9ec5ff", stroke: "#f2f3f1",
+      : front[at].is_recommended ? 7 : 5, fill: front[at].is_recommended
+      ? "#7fd99a" : at === selected ? "#2563a8" : "#9ec5ff", stroke: "#f2f3f1",
     "stroke-width": at === selected ? 3 : 0})),
   ];
   dial.replaceChildren(...parts);
@@ -46,8 +83,9 @@ function draw(front, selected) {
   ]));
 }
 
-function move(front, at, request) {
-  draw(front, at);
+function move(state, at) {
+  const {front, rivals, request} = state;
+  draw(front, rivals, at);
   slider.value = at;
   slider.setAttribute("aria-valuetext", `${time(front[at].wall_s)}, ` +
     `${levels(front[at].effective_levels)} effective levels`);
@@ -61,8 +99,7 @@ function move(front, at, request) {
 }
 
 function showDial(state) {
-  const front = state.front;
-  const key = state.request;
+  const {front, rivals, request: key} = state;
   if (drawn !== key || !dial?.isConnected) {
     drawn = key;
     dial = svg("svg", {viewBox: `0 0 ${WIDTH} ${HEIGHT}`, class: "dial", "aria-hidden": "true"});
@@ -71,17 +108,17 @@ function showDial(state) {
     facts = h("div", {});
     slider = h("input", {type: "range", min: 0, max: front.length - 1, step: 1,
       value: state.selected, "aria-label": "time of the capture",
-      oninput: () => move(front, Number(slider.value), key)});
+      oninput: () => move(state, Number(slider.value))});
     const drag = event => {
       if (event.buttons === 0 && event.type === "pointermove") { return; }
       const box = dial.getBoundingClientRect();
       const x = (event.clientX - box.left) / box.width * WIDTH;
-      const places = scale(front);
+      const places = front.map(scale(front, rivals));
       let nearest = 0;
       places.forEach(([px], at) => {
         if (Math.abs(px - x) < Math.abs(places[nearest][0] - x)) { nearest = at; }
       });
-      if (nearest !== Number(slider.value)) { move(front, nearest, key); }
+      if (nearest !== Number(slider.value)) { move(state, nearest); }
     };
     dial.addEventListener("pointerdown", event => {
       dial.setPointerCapture(event.pointerId);
@@ -92,12 +129,13 @@ function showDial(state) {
     const take = () => choose({index: Number(slider.value), take: true});
     root.replaceChildren(tabs(state, take), h("div", {class: "dials"},
       h("div", {class: "card"}, dial, slider, h("p", {class: "pale"},
-        "Drag, or use the arrow keys. Green: recommended.")),
+        "Drag, or use the arrow keys. Green: recommended."),
+      rivals.length ? rivalTable(front, rivals) : null),
       h("div", {class: "card"}, picture, facts)));
   }
   // What this page has just chosen is already shown.
   const own = document.activeElement === slider || dial.matches(":active");
-  move(front, own ? Number(slider.value) : (sent = state.selected), key);
+  move(state, own ? Number(slider.value) : (sent = state.selected));
 }
 
 /* The ways to decide, and the button that plans what is selected. */
