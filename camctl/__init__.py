@@ -10,11 +10,9 @@ defines a name, and numpy with it, is imported when the name is first used.
 (48, 64)
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING
-
 __version__ = "0.2.0"
 
+TYPE_CHECKING = False  # type checkers take it for true; the module typing takes 10 ms to be loaded
 if TYPE_CHECKING:
     from camctl import calibrate as calibrate
     from camctl.captures.plan import plan_capture as plan_capture
@@ -159,6 +157,8 @@ if not TYPE_CHECKING:  # a type checker would take every name for one that exist
 
     def __getattr__(name: str) -> object:
         """Import the module that defines a public name, and return what it names (PEP 562)."""
+        from importlib import import_module
+
         if name in _SUBMODULES:
             return import_module(f"camctl.{name}")
         if name not in _MODULES:

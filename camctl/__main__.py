@@ -1,45 +1,65 @@
-"""The command ``camctl``, also ``python -m camctl``."""
+"""The command ``camctl``, also ``python -m camctl``.
+
+What is imported here is loaded already when Python starts: nothing takes time before the signals
+are handled.
+"""
 
 from __future__ import annotations
 
+import _signal  # type: ignore[import-not-found]  # `signal` takes 4 ms to be loaded
+import atexit
 import os
-import signal
 import sys
-from types import FrameType
-from typing import NoReturn
 
-_SIGNALS = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import FrameType
+    from typing import Any, NoReturn
+
+#: Number of a signal: its name.  Windows has no SIGHUP.
+_SIGNALS = {
+    getattr(_signal, name): name
+    for name in ("SIGINT", "SIGTERM", "SIGHUP")
+    if hasattr(_signal, name)
+}
 
 
 def _end(number: int, _frame: FrameType | None) -> NoReturn:
-    """End the process before the command line is there to do it: nothing has been begun yet."""
-    by = "" if number == signal.SIGINT else f" by {signal.Signals(number).name}"
-    os.write(2, f"camctl: interrupted{by}\n".encode())
-    os._exit(128 + number)
+    """End the process where the command line cannot: it is not loaded yet, or does not exit."""
+    by = f" by {_SIGNALS[number]}" if number != _signal.SIGINT else ""
+    try:
+        os.write(2, f"camctl: interrupted{by}\n".encode())
+    finally:  # also where standard error is closed
+        os._exit(128 + number)
 
 
-def _handle_all(handler: signal.Handlers | None = None) -> None:
-    """Handle the signals by `handler`, None: by `_end`; those that the parent ignores stay so."""
-    for name in _SIGNALS:
-        number = getattr(signal, name)
-        if signal.getsignal(number) not in (signal.SIG_IGN, None):
-            signal.signal(number, _end if handler is None else handler)
+def _ignore_once(number: int, _frame: FrameType | None) -> None:
+    """Ignore a signal after the command's last step; a second one ends what does not exit."""
+    _signal.signal(number, _end)
+
+
+def _handle_all(handler: Callable[[int, FrameType | None], Any] | int) -> None:
+    """Handle the signals by `handler`; those that the parent ignores stay ignored."""
+    for number in _SIGNALS:
+        if _signal.getsignal(number) not in (_signal.SIG_IGN, None):
+            _signal.signal(number, handler)
 
 
 def run() -> int:
     """Run the command line of this process and return its exit status.
 
     A signal before the first step of the command ends it with one line and the status that signals
-    have later, too; one after its last step shows no traceback.
+    have later, too; one after its last step changes nothing.
     """
-    _handle_all()
-    try:
-        from camctl.cli import main
+    _handle_all(_end)
+    # What is registered first is called last.  The interpreter then takes a few milliseconds to
+    # end, with the default action for signals that were handled by a function.
+    atexit.register(_handle_all, _signal.SIG_IGN)
+    from camctl.cli import main
 
-        status = main()
-    except KeyboardInterrupt:
-        status = 130
-    _handle_all(signal.SIG_DFL)
+    status = main(handler_afterwards=_ignore_once)
+    _handle_all(_ignore_once)
     return status
 
 

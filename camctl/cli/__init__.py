@@ -22,7 +22,7 @@ from camctl.cli.output import (
     standard_streams,
 )
 from camctl.errors import CamctlError, StorageError, UsageError, unknown_name, visible
-from camctl.system.interrupts import last_interrupt, run_interruptible, signal_handlers
+from camctl.system.interrupts import Handler, last_interrupt, run_interruptible, signal_handlers
 from camctl.system.system_errors import resource_error
 
 _LONG_NAME = re.compile(r"\S{300,}")
@@ -131,8 +131,12 @@ def help_(context: click.Context, names: tuple[str, ...]) -> None:
     print_text(_context_of(names, context.find_root()).get_help())
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(
+    arguments: Sequence[str] | None = None, *, handler_afterwards: Handler | None = None
+) -> int:
     """Run one command line (without the program's name) and return its exit status.
+
+    After the command, signals are handled by `handler_afterwards`; None: as they were before.
 
     0: done.  1: it could not be done.  2: invalid usage.  3: a picture contradicts its own frames.
     130, 143, 129: ended by Control-C, SIGTERM, SIGHUP.  An error is one line on standard error,
@@ -145,7 +149,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         return shell_complete(cli, {}, "camctl", "_CAMCTL_COMPLETE", completion)
     given = list(sys.argv[1:] if arguments is None else arguments)
-    with standard_streams(), signal_handlers():
+    with standard_streams(), signal_handlers(handler_afterwards):
         context: click.Context | None = None
 
         def run() -> None:

@@ -29,10 +29,12 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from types import CodeType, FrameType
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeAlias, TypeVar
 
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
+Handler: TypeAlias = Callable[[int, FrameType | None], Any]
+"""A handler of signals."""
 
 #: Windows has no SIGHUP.
 _SIGNALS = tuple(
@@ -54,8 +56,11 @@ class Interrupt(KeyboardInterrupt):
 
 
 @contextlib.contextmanager
-def signal_handlers() -> Iterator[None]:
-    """Handle the signals while the block runs; do nothing in a thread other than the main one."""
+def signal_handlers(afterwards: Handler | None = None) -> Iterator[None]:
+    """Handle the signals while the block runs; do nothing in a thread other than the main one.
+
+    Their handler is `afterwards` then; None: the one before.
+    """
     global _last, _waiting, _ended
     previous: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
@@ -63,7 +68,7 @@ def signal_handlers() -> Iterator[None]:
         for number in _SIGNALS:
             handler = signal.getsignal(number)
             if handler not in (signal.SIG_IGN, None):  # None: installed by a library in C
-                previous[number] = handler
+                previous[number] = handler if afterwards is None else afterwards
                 signal.signal(number, _handle)
     try:
         yield

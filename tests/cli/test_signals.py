@@ -17,6 +17,7 @@ import pytest
 from command_line import Run
 from crash_sweep import checked
 
+import camctl
 from camctl.interface.camera import CameraBase
 from camctl.records.folder import CaptureFolder
 from camctl.sim.camera import SimulatedCamera
@@ -347,6 +348,49 @@ def test_signal_while_the_program_is_loaded(name: str, module: str, tmp_path: Pa
     by = "" if name == "SIGINT" else f" by {name}"
     assert (done.stderr, done.stdout) == (f"camctl: interrupted{by}\n", "")
     assert done.returncode == 128 + getattr(signal, name)
+
+
+LATE = """
+import atexit, os, sys
+from signal import *
+from camctl import cli
+from camctl.__main__ import run
+def send(*numbers):
+    for number in numbers:
+        os.kill(os.getpid(), number)
+class Last:
+    def __del__(self, send=send, numbers=(SIGINT, SIGTERM, SIGHUP)):
+        send(*numbers)
+last = Last()  # deleted when the interpreter clears the modules
+real = cli.main
+def main(**named):
+    status = real(**named)
+    send(SIGHUP)
+    return status
+cli.main = main
+atexit.register(send, SIGINT, SIGTERM, SIGHUP)  # called after that of `run`
+sys.argv[1:] = ["--version"]
+status = run()
+atexit.register(send, *{numbers})
+sys.exit(status)
+"""
+
+
+def run_late(numbers: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Show the version; signals arrive after the command, and `numbers` when Python ends."""
+    program = [sys.executable, "-c", LATE.format(numbers=numbers)]
+    return subprocess.run(program, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_signals_after_the_last_step_change_nothing(tmp_path: Path) -> None:
+    done = run_late("[SIGINT, SIGTERM]", tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"camctl {camctl.__version__}\n", "")
+
+
+def test_second_signal_ends_what_does_not_exit(tmp_path: Path) -> None:
+    done = run_late("[SIGTERM, SIGTERM]", tmp_path)
+    assert done.returncode == 143
+    assert done.stderr == "camctl: interrupted by SIGTERM\n"
 
 
 @pytest.mark.slow
