@@ -9,6 +9,8 @@ import sys
 from importlib.metadata import distribution, requires
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 SOME_TESTS = (
     "tests/menu/test_camera_job.py::test_settings_reviewed_are_the_settings_shot[0-1-3]",
@@ -18,8 +20,10 @@ SOME_TESTS = (
 )
 
 
+@pytest.mark.slow
 def test_some_tests_of_menu_and_captures_pass_without_opencv() -> None:
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *SOME_TESTS]
+    options = ["-q", "-p", "no:cacheprovider", "-m", "not serial"]
+    command = [sys.executable, "-m", "pytest", *options, *SOME_TESTS]
     without = {**os.environ, "CAMCTL_TEST_WITHOUT_OPENCV": "1", "PYTEST_ADDOPTS": ""}
     done = subprocess.run(command, cwd=ROOT, env=without, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout[-3000:]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sampling import some
 
 from camctl.errors import DataError, UsageError
 from camctl.exposure import judge
@@ -141,12 +142,13 @@ def test_effective_levels_are_those_of_the_exact_prediction() -> None:
     assert found.effective_levels < found.effective_levels_noise_free
 
 
-def test_no_random_set_of_the_same_time_is_more_accurate() -> None:
+@pytest.mark.parametrize("seed", some(range(3), every=3))
+def test_no_random_set_of_the_same_time_is_more_accurate(seed: int) -> None:
     problem = problem_of("log")
     found = solve_accuracy(problem, [3], total_limit=40.0, near_tie=0.0)
     assert found.total_time <= 40.0
-    rng = np.random.default_rng(0)
-    for _ in range(150):
+    rng = np.random.default_rng(seed)
+    for _ in range(60):
         second, third = np.sort(np.exp(rng.uniform(0, math.log(38), 2)))
         scale = min(1.0, 39 / (second + third))
         exposures = [1.0, max(1.0, second * scale), max(1.0, third * scale)]
@@ -236,7 +238,7 @@ def test_dark_current_changes_the_exposures() -> None:
     assert dark.effective_levels < none.effective_levels
 
 
-@pytest.mark.parametrize("dark", [500.0, 2000.0, 5000.0])
+@pytest.mark.parametrize("dark", some([500.0, 2000.0, 5000.0], every=3, first=1))
 def test_dark_current_that_fills_the_range_shortens_the_exposures(dark: float) -> None:
     """At 2,000 e-/s a frame of 45 times the shortest exposure holds 230 of 255 levels of it."""
     noisy = NoiseModel(39.0, ((1.0, 3.0),), dark_current_e_s=dark)

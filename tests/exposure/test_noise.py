@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from sampling import some
 
 from camctl.errors import UsageError
 from camctl.exposure.noise import (
@@ -158,7 +159,7 @@ def test_the_largest_noise_term_is_finite(kind: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["linear", "gamma", "log"])
-@pytest.mark.parametrize("dynamic_range", [1 + 1e-9, 1.0001, 1.5])
+@pytest.mark.parametrize("dynamic_range", some([1 + 1e-9, 1.0001, 1.5], every=2))
 def test_the_work_does_not_grow_with_the_narrowness_of_the_range(
     name: str, dynamic_range: float
 ) -> None:

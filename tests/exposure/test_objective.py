@@ -8,6 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from cells import CELLS, Cell
+from sampling import some
 
 from camctl.errors import UsageError
 from camctl.exposure.evaluation import evaluate
@@ -59,7 +60,7 @@ def test_linear_objective_agrees_with_exact_fractions() -> None:
 
 
 @pytest.mark.parametrize("name", ["linear", "gamma", "log"])
-@pytest.mark.parametrize("p", [1.0, 1.5, 2.0, 3.0])
+@pytest.mark.parametrize("p", some([1.0, 1.5, 2.0, 3.0], every=2, first=1))
 def test_objective_agrees_with_a_midpoint_sum_of_its_definition(name: str, p: float) -> None:
     desired = desired_response(name, 20.0)
     camera = EffectiveCamera.of(linear_response(3), (1, 1.6))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from sampling import some
 
 from camctl.errors import DataError, StorageError, UsageError
 from camctl.exposure import build
@@ -111,17 +112,20 @@ def test_look_up_distinguishes_tabulated_responses_of_the_same_name() -> None:
 
 @pytest.mark.parametrize(
     ("damage", "reason"),
-    [
-        (lambda path, entry: path.write_text(entry.model_dump_json()[:60]), "are damaged: "),
-        (lambda path, entry: path.write_bytes(b"\xff\0"), "are damaged: "),
-        (
-            lambda path, entry: path.write_text(
-                entry.model_copy(update={"camera": "0" * 16}).model_dump_json()
+    some(
+        [
+            (lambda path, entry: path.write_text(entry.model_dump_json()[:60]), "are damaged: "),
+            (lambda path, entry: path.write_bytes(b"\xff\0"), "are damaged: "),
+            (
+                lambda path, entry: path.write_text(
+                    entry.model_copy(update={"camera": "0" * 16}).model_dump_json()
+                ),
+                "are for another camera or desired response",
             ),
-            "are for another camera or desired response",
-        ),
-        (lambda path, entry: (path.unlink(), path.mkdir()), "cannot read cached exposures "),
-    ],
+            (lambda path, entry: (path.unlink(), path.mkdir()), "cannot read cached exposures "),
+        ],
+        every=3,
+    ),
 )
 def test_damaged_cached_row_is_set_aside_and_solved_again(
     caplog: pytest.LogCaptureFixture, damage: Callable[[Path, TableEntry], object], reason: str

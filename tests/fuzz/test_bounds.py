@@ -46,6 +46,7 @@ READS = {
 """Functions that read, and what is found of them."""
 
 
+@pytest.mark.slow
 def test_what_exceeds_a_limit_is_found(tmp_path: Path) -> None:
     program = f"""
 import ctypes

@@ -115,7 +115,9 @@ def test_invalid_option_is_a_usage_error_of_one_line(
     assert str(failure.value) == message
 
 
-@pytest.mark.parametrize("arguments", [["shoot", "-O", "size=64x48"], ["menu", "--help"]])
+@pytest.mark.parametrize(
+    "arguments", [["shoot", "-O", "size=24x16", "--ratios", "1,8"], ["menu", "--help"]]
+)
 def test_a_folder_of_the_user_hides_nothing(arguments: list[str], tmp_path: Path) -> None:
     """A project with folders of its own of the names sim, drivers and menu can use camctl."""
     for name in ("drivers", "menu", "sim"):

@@ -26,6 +26,7 @@ from camctl.sim.sensors.sensor import load_sensor, sensor_names
         for place, scene in enumerate(("ball", "night-street"))
     ],
 )
+@pytest.mark.slow
 def test_frames_are_the_same_with_and_without_numba(sensor: str, scene: str) -> None:
     pytest.importorskip("numba")
     chosen = load_sensor(sensor)
@@ -44,6 +45,7 @@ def test_frames_are_the_same_with_and_without_numba(sensor: str, scene: str) -> 
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 4099, TILE - 1, TILE])
+@pytest.mark.slow
 def test_draws_are_the_same_for_every_size_of_tile(count: int) -> None:
     pytest.importorskip("numba")
     plain, fast = TileNoise(), TileNoise(load())
@@ -51,6 +53,7 @@ def test_draws_are_the_same_for_every_size_of_tile(count: int) -> None:
     assert np.array_equal(plain.normal(*args), fast.normal(*args))
 
 
+@pytest.mark.slow
 def test_photon_noise_is_the_same_for_every_mean() -> None:
     pytest.importorskip("numba")
     means = np.concatenate([[0.0], np.geomspace(1e-45, 1e30, TILE - 1)]).astype(np.float32)
@@ -63,6 +66,7 @@ def test_photon_noise_is_the_same_for_every_mean() -> None:
 
 
 @pytest.mark.parametrize("size", [1, 4099, TILE])
+@pytest.mark.slow
 def test_photon_counts_are_the_same_for_every_mean(size: int) -> None:
     pytest.importorskip("numba")
     means = np.concatenate([[0.0], np.geomspace(1e-45, 1e7, 4098), np.geomspace(1e-3, 40, TILE)])

@@ -109,7 +109,7 @@ def calls(draw: st.DrawFn) -> tuple[str, list[int], list[float], int]:
     st.sampled_from([0.0, 1e-5, 1e-3]),
     st.lists(calls(), min_size=1, max_size=5),
 )
-@settings(max_examples=150)
+@settings(max_examples=settings().max_examples * 3 // 2)
 def test_no_old_frame_whatever_the_caller_does(
     delay: int, jitter: int, step_s: float, calls: list[tuple[str, list[int], list[float], int]]
 ) -> None:

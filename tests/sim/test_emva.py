@@ -11,6 +11,7 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from sampling import some
 
 from camctl.sim.noise import largest_noise
 from camctl.sim.render import Renderer
@@ -96,7 +97,9 @@ def test_full_well() -> None:
     print(f"full well {well_e:.2f} e- of {SENSOR.full_well_e:g} (+-{error_e:.2f})")
 
 
-@pytest.mark.parametrize(("temperature_c", "times"), [(25.0, 1.0), (33.0, 2.0), (49.0, 8.0)])
+@pytest.mark.parametrize(
+    ("temperature_c", "times"), some([(25.0, 1.0), (33.0, 2.0), (49.0, 8.0)], every=2)
+)
 def test_dark_current_doubles_every_eight_kelvin(temperature_c: float, times: float) -> None:
     """By the slope of the mean over time, and by that of the variance, which is its noise."""
     dark = SENSOR.dark.model_copy(update={"temperature_c": temperature_c})

@@ -34,7 +34,7 @@ def frame_of(
     return Renderer(View.of(scene, sensor), sensor, seed=seed).frame(time_s, 1.0, number)
 
 
-@pytest.mark.parametrize("name", some(sensor_names(), every=2))
+@pytest.mark.parametrize("name", some(sensor_names(), every=3))
 def test_a_frame_depends_on_seed_and_number_but_not_on_threads(name: str) -> None:
     scene, sensor = load_scene("ball", (390, 700)), load_sensor(name)
     view = View.of(scene, sensor)

@@ -168,7 +168,6 @@ def test_a_file_cut_short_is_rejected(name: str) -> None:
 
 @pytest.mark.parametrize("name", FILES)
 @given(data=st.data())
-@settings(max_examples=60)
 def test_a_damaged_file_is_read_or_rejected(name: str, data: st.DataObject) -> None:
     damaged = bytearray(FILES[name])
     # Half of the time only the headers are damaged, where damage has the largest effects.

@@ -86,7 +86,7 @@ class HonestNoisyJpeg(HonestStill):
 
 
 class TestHonestTiff(HonestTiff):
-    pass
+    run_length = 30
 
 
 class TestHonestNoisyJpeg(HonestNoisyJpeg):
@@ -102,7 +102,7 @@ class TestHonestGain(HonestGain):
 
 
 class TestHonestStill(HonestStill):
-    pass
+    run_length = 30
 
 
 class Liar(WrappedCamera):

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from ptp_bodies import row, turned_to_manual, why_refused
+from sampling import some
 
 from camctl.sim.devices.ptp.body_facts import MAKERS, bodies, load_body
 from camctl.sim.devices.ptp.nikon import NikonResponder
@@ -74,7 +75,9 @@ def test_nikons_with_hidden_properties_have_their_exact_times() -> None:
     assert not [name for name in shooting if "1/2000 to" in expected()[name]]
 
 
-@pytest.mark.parametrize("name", ["nikon-d850", "canon-eos7d", "sony-a1m2", "olympus-e-m1"])
+@pytest.mark.parametrize(
+    "name", some(["nikon-d850", "canon-eos7d", "sony-a1m2", "olympus-e-m1"], every=4)
+)
 def test_a_body_that_ignores_its_settings_is_found_out(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

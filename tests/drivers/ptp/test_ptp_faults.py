@@ -216,7 +216,7 @@ class TestLastingFaults:
             ):
                 shoot(camera, settings)
 
-    @pytest.mark.parametrize("vendor", VENDORS)
+    @pytest.mark.parametrize("vendor", some(VENDORS, every=2))
     @pytest.mark.parametrize("state", ["playback", "movie"])
     def test_a_body_that_is_opened_in_another_mode_says_what_to_do(
         self, vendor: str, state: str
@@ -318,7 +318,7 @@ class TestWrongPictures:
 
 
 @pytest.mark.parametrize(
-    ("vendor", "seed", "rate"), some(product(VENDORS, range(2), (0.02, 0.1)), every=3)
+    ("vendor", "seed", "rate"), some(product(VENDORS, range(2), (0.02, 0.1)), every=5)
 )
 def test_damaged_datasets_end_in_typed_errors(
     vendor: str, seed: int, rate: float, monkeypatch: pytest.MonkeyPatch

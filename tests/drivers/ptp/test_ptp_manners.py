@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from ptp_bench import bench, camera_on, settings_at, shoot
+from sampling import some
 
 from camctl.drivers.ptp.shooting import Shooter
 from camctl.errors import CameraError, CameraProtocolError, CameraTimeoutError
@@ -136,7 +137,9 @@ class TestCards:
 
 
 class TestLongExposures:
-    @pytest.mark.parametrize("vendor", ["none", "nikon", "canon", "sony", "fuji", "olympus"])
+    @pytest.mark.parametrize(
+        "vendor", some(["none", "nikon", "canon", "sony", "fuji", "olympus"], every=2)
+    )
     def test_noise_reduction_of_a_busy_camera_is_waited_for(self, vendor: str) -> None:
         """300 s of exposure, and as long a dark one, during which it answers "busy"."""
         times = ["300", "1/125"]
@@ -186,6 +189,7 @@ class TestLongExposures:
                 shoot(camera, [setting])
             assert 160 <= camera.clock.now() - began_s < 165
 
+    @pytest.mark.slow
     def test_a_camera_that_stays_busy_is_given_1000_seconds_more(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:

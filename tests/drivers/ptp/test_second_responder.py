@@ -38,7 +38,7 @@ def shoot(camera: SecondPtpCamera, second: SecondCamera, places: list[int]) -> l
     return found
 
 
-@pytest.mark.parametrize(("order", "maker"), some(product(ORDERS, MAKERS), every=5))
+@pytest.mark.parametrize(("order", "maker"), some(product(ORDERS, MAKERS), every=8))
 def test_each_frame_is_the_one_of_its_exposure_in_every_order_of_events(
     maker: str, order: str
 ) -> None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sampling import some
 from v4l2_bench import TICKS, exposures, open_streaming, save_delay, settings
 from v4l2_model import PATH, Model, ticks_of
 
@@ -111,7 +112,7 @@ class TestStep:
                 frames = camera.step(before, after, 8)
                 assert exposures(frames) == [160] * delay + [40] * (8 - delay)
 
-    @pytest.mark.parametrize("delay", range(-1, 6))
+    @pytest.mark.parametrize("delay", some(range(-1, 6), every=2))
     def test_the_delay_is_measured(self, delay: int) -> None:
         with open_streaming(Model(delay=delay)) as camera:
             record = measure_delay(camera)

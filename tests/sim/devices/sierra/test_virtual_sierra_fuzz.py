@@ -56,7 +56,7 @@ BYTES = st.lists(
 
 
 @given(pieces=BYTES, pauses=st.lists(st.sampled_from([0.0, 0.01, 0.6, 6.0]), max_size=40))
-@settings(max_examples=150)
+@settings(max_examples=settings().max_examples * 3 // 2)
 def test_after_any_bytes_and_pauses_the_camera_answers_a_new_session(
     pieces: list[bytes], pauses: list[float]
 ) -> None:
