@@ -75,16 +75,35 @@ def chroma_variance(frame: NDArray[Any]) -> NDArray[np.float32]:
         frame: (rows, columns, 3) of R, G and B, of both an even number
 
     Returns:
-        (rows / 2, columns / 2, 3)
+        (3, rows / 2, columns / 2)
     """
-    cells = frame.reshape(frame.shape[0] // 2, 2, frame.shape[1] // 2, 2, 3)
-    lost = box_means(_lost(cells[..., 1]), 1)
-    mean = cells.mean(axis=(1, 3), dtype=np.float32)
-    Y = mean @ _OF_Y
-    planes = np.stack([Y, (mean[..., 2] - Y) / _OF_BLUE, (mean[..., 0] - Y) / _OF_RED], axis=-1)
-    around = np.maximum(box_means(planes * planes, 1) - np.square(box_means(planes, 1)), 0.0)
-    share = np.minimum(_LOSS * lost / (around[..., 0] + _NO_CONTRAST), _MOST_LOST)
-    return np.asarray((around[..., 1:] * share[..., np.newaxis]) @ _VARIANCES, np.float32)
+    red, green, blue = (_cell_means(frame[..., k]) for k in range(3))
+    Y = _OF_Y[0] * red + _OF_Y[1] * green + _OF_Y[2] * blue
+    of_y, of_blue, of_red = (
+        np.maximum(box_means(each * each, 1) - np.square(box_means(each, 1)), 0.0)
+        for each in (Y, (blue - Y) * np.float32(1 / _OF_BLUE), (red - Y) * np.float32(1 / _OF_RED))
+    )
+    share = _LOSS * box_means(_lost(_cells(frame[..., 1])), 1)
+    share /= of_y + np.float32(_NO_CONTRAST)
+    np.minimum(share, _MOST_LOST, out=share)
+    of_blue *= share
+    of_red *= share
+    found = np.empty((3, *Y.shape), np.float32)
+    for k in range(3):
+        np.multiply(of_blue, _VARIANCES[0, k], out=found[k])
+        found[k] += _VARIANCES[1, k] * of_red
+    return found
+
+
+def _cells(plane: NDArray[Any]) -> NDArray[Any]:
+    """Return (rows, 2, columns, 2) of a plane."""
+    return plane.reshape(plane.shape[0] // 2, 2, plane.shape[1] // 2, 2)
+
+
+def _cell_means(plane: NDArray[Any]) -> NDArray[np.float32]:
+    """Return the means of cells of 2 x 2 pixels."""
+    rows = np.add(plane[::2], plane[1::2], dtype=np.uint32)
+    return np.asarray((rows[:, ::2] + rows[:, 1::2]) * np.float32(0.25), np.float32)
 
 
 def patch_chroma_variance(patches: Patches) -> NDArray[np.float32]:

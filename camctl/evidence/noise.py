@@ -326,12 +326,13 @@ def _pair(
     """
     light, squared_step = sensor.light * full, np.square(sensor.gap * full)
     ratio = exposures[1] / exposures[0]
-    short, long = light[samples[0]], light[samples[1]] / ratio
+    predicted = light / ratio
+    short, long = light.take(samples[0]), predicted.take(samples[1])
     usable = np.maximum(samples[0], samples[1]) <= sensor.highest(None)
     count = np.count_nonzero(usable, axis=1)
 
     def mean(values: _Floats) -> _Floats:
-        return np.asarray(np.where(usable, values, 0.0).sum(axis=1) / np.maximum(count, 1))
+        return np.asarray((values * usable).sum(axis=1) / np.maximum(count, 1))
 
     middle = mean(long)
     difference = short - long
@@ -343,14 +344,18 @@ def _pair(
     photon = middle * (gains[0] + gains[1] / ratio)
     read = np.full(middle.size, gains[0] ** 2 + (gains[1] / ratio) ** 2)
     terms = np.stack([np.maximum(photon, 0.0), read], axis=1)
-    steps = np.interp(long[used], light, np.arange(light.size))
-    turns = np.exp(2j * math.pi * steps[..., np.newaxis] * np.arange(1, _HARMONICS + 1))
-    phases = (turns * usable[used, :, np.newaxis]).sum(axis=1) / count[used, np.newaxis]
+    steps = np.interp(predicted, light, np.arange(light.size))
+    codes, weights = samples[1][used], usable[used] / count[used, np.newaxis]
+    phases = np.empty((codes.shape[0], _HARMONICS), np.complex128)
+    for k in range(_HARMONICS):
+        turns = np.exp(2j * math.pi * (k + 1) * steps)  # of each value, not of each sample
+        phases[:, k].real = np.einsum("ps,ps->p", turns.real.take(codes), weights)
+        phases[:, k].imag = np.einsum("ps,ps->p", turns.imag.take(codes), weights)
     return _Patches(
         spread[used],
         terms[used],
-        mean(squared_step[samples[0]])[used],
-        mean(squared_step[samples[1]])[used] / 12 / ratio**2,
+        mean(squared_step.take(samples[0]))[used],
+        mean(squared_step.take(samples[1]))[used] / 12 / ratio**2,
         phases,
         np.maximum(count[used] - 1.0, 1.0),
         is_even[used],

@@ -172,17 +172,17 @@ def deviating_patches(
     return count >= min(_COLOURS, colours)
 
 
-def _as_levels(samples: NDArray[np.generic], black: int, white: int) -> NDArray[np.intp]:
+def _as_levels(samples: NDArray[Any], black: int, white: int) -> NDArray[np.uint8]:
     share = np.clip((np.arange(white + 1) - black) / (white - black), 0, 1)
     if white - black >= _LEVELS:
         share = np.sqrt(share + _READ_NOISE) - math.sqrt(_READ_NOISE)
         share /= share[-1]
-    table: NDArray[np.intp] = np.rint((_LEVELS - 1) * share).astype(np.intp)
-    return np.asarray(table[np.minimum(samples, white).astype(np.intp)])
+    table = np.rint((_LEVELS - 1) * share).astype(np.uint8)
+    return np.asarray(table.take(np.minimum(samples, white)))
 
 
 def _deviates(
-    before: NDArray[np.intp], after: NDArray[np.intp], means: Callable[[FloatArray], FloatArray]
+    before: NDArray[np.uint8], after: NDArray[np.uint8], means: Callable[[FloatArray], FloatArray]
 ) -> NDArray[np.intp]:
     """Return 1 in the cells that deviate from the curve of most, and 0 in the others.
 
@@ -191,22 +191,23 @@ def _deviates(
         after: of the longer one
         means: returns the mean of each cell of values of the samples
     """
-    counts = np.bincount((after * _LEVELS + before).ravel(), minlength=_LEVELS**2)
-    seen = counts.reshape(_LEVELS, _LEVELS)[:_SATURATED, :_SATURATED]
+    both = after.astype(np.uint16) * np.uint16(_LEVELS) + before
+    counts = np.bincount(both.ravel(), minlength=_LEVELS**2).reshape(_LEVELS, _LEVELS)
+    seen = counts[:_SATURATED, :_SATURATED].astype(np.float64)
     seen[0] = seen[:, 0] = 0  # clipped at black
-    curve = _ascending_path(seen.astype(np.float64))
+    expected = np.empty(_LEVELS)
+    expected[:_SATURATED] = curve = _ascending_path(seen)
     # Where the longer frame is saturated, the shorter one may be anything brighter; most is.
-    is_saturated = after >= _SATURATED
-    least = float(curve[_SATURATED - 1])
-    if is_saturated.any():
-        least = min(least, float(np.quantile(before[is_saturated], _MOSTLY)))
-    expected: FloatArray = np.where(is_saturated, least, curve[np.minimum(after, _SATURATED - 1)])
-    errors: FloatArray = before - expected
-    errors = np.where(is_saturated, np.minimum(errors, 0.0), errors)
-    mean, level = means(errors), means(after.astype(np.float64))
+    expected[_SATURATED:] = float(curve[-1])
+    saturated = np.repeat(np.arange(_LEVELS), counts[_SATURATED:].sum(axis=0))
+    if saturated.size:
+        expected[_SATURATED:] = min(float(curve[-1]), float(np.quantile(saturated, _MOSTLY)))
+    errors = np.arange(_LEVELS) - expected[:, np.newaxis]
+    errors[_SATURATED:] = np.minimum(errors[_SATURATED:], 0.0)
+    mean, level = means(errors.ravel().take(both)), means(after.astype(np.float64))
     band = (level // _BAND).astype(np.intp)
     noise = _medians(np.abs(mean), band)
-    limit = _LEAST_DEVIATION + _LEAST_SHARE * means(expected)
+    limit = _LEAST_DEVIATION + _LEAST_SHARE * means(expected.take(after))
     limit = np.maximum(limit, np.minimum(_DEVIATIONS * noise, _MOST_NOISE))
     deviates: NDArray[np.bool_] = np.abs(mean) > limit
     return deviates.astype(np.intp)

@@ -46,6 +46,9 @@ _SHARP = 0.25
 #: left out: of all frames that are clipped, or, divided by the number of frames, of each.
 _DECISIVE, _NOTABLE = 0.05, 0.01
 
+#: Variance of a sample that is not less, of full scale squared.
+_LEAST_VARIANCE = 1e-16
+
 #: A light of fewer standard deviations is truncated at 0: beyond it, 0.1 % of the probability is.
 _NEAR_ZERO = CLIPPING_SIGMAS
 
@@ -211,6 +214,11 @@ class LightTables:
         """(n, B), step of the quantiser of each frame, as irradiance; most pictures need none."""
         exposures = self.exposures[:, np.newaxis]
         return np.asarray(self.sensor.step(exposures * self.lights) / exposures, np.float32)
+
+    @cached_property
+    def variances(self) -> Floats32:
+        """(n, B), variance of a sample of each frame as irradiance, above 0."""
+        return np.square(self.spreads) + np.float32(_LEAST_VARIANCE)
 
     def _bin_number(self, light: np.float32) -> int:
         return int(np.float32(light).view(np.uint32)) >> _DROPPED

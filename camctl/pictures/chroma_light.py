@@ -23,8 +23,8 @@ from camctl.model.sensor import CLIPPING_SIGMAS
 NOTABLE = 0.25
 #: Error of colours, levels, from which on a saturated one changes the others: twice a rounding.
 _VISIBLE = 1.0
-#: Samples of a block, whose arrays stay in a cache; variance that is not less, of full scale.
-_BLOCK, _LEAST_VARIANCE = 1 << 14, 1e-16
+#: Samples of a block, whose arrays stay in a cache.
+_BLOCK = 1 << 14
 #: Rounds: in the second one, the noise is that of the light which the first one found.
 _ROUNDS = 2
 
@@ -46,80 +46,104 @@ def share_chroma_errors(
     rows, columns = (length & ~1 for length in irradiance.shape[:2])
     if not rows or not columns:
         return
-    errors = [chroma_variance(each[:rows, :columns]) for each in frames]
-    notable = np.zeros(errors[0].shape[:2], np.bool_)
-    for each in errors:
-        notable |= each.max(axis=2) > NOTABLE
-    down, across = np.nonzero(notable.repeat(2, axis=0).repeat(2, axis=1))
+    errors = np.stack([chroma_variance(each[:rows, :columns]) for each in frames])
+    notable = np.flatnonzero((errors > NOTABLE).any(axis=(0, 1)))
+    np.sqrt(errors, out=errors)
+    spreads = errors.reshape(len(frames), len(tables), -1)
+    seen = [[_by_cells(each[:rows, :columns, k]) for k in range(len(tables))] for each in frames]
+    lights, deviations = (
+        [_by_cells(each[:rows, :columns, k]) for k in range(len(tables))]
+        for each in (irradiance, deviation)
+    )
     top = tables[0].sensor.highest(None)
-    for start in range(0, down.size, _BLOCK):
-        where = down[start : start + _BLOCK], across[start : start + _BLOCK]
-        cells = (where[0] // 2, where[1] // 2)
-        seen = [each[where] for each in frames]
-        spreads = [np.sqrt(each[cells]) for each in errors]
+    for start in range(0, notable.size, _BLOCK // 4):
+        cells = notable[start : start + _BLOCK // 4]
+        samples = [[plane.take(cells, axis=1) for plane in each] for each in seen]
+        errors_here = spreads[:, :, cells]
+        visible = np.asarray((errors_here > _VISIBLE).any(axis=1))
         # Where a colour is saturated, the file may have made another one darker.
         hidden = [
-            (each.max(axis=1) > top) & (spread.max(axis=1) > _VISIBLE)
-            for each, spread in zip(seen, spreads, strict=True)
+            (np.maximum(np.maximum(*each[:2]), each[2]) > top) & shown
+            for each, shown in zip(samples, visible, strict=True)
         ]
         for channel, table in enumerate(tables):
-            at = (*where, channel)
+            first = [each[channel].take(cells, axis=1) for each in (lights, deviations)]
             light, error = _joined(
                 table,
-                [each[:, channel] for each in seen],
-                [each[:, channel] for each in spreads],
+                [each[channel] for each in samples],
+                errors_here[:, channel],
                 hidden,
-                (irradiance[at], deviation[at]),
+                (first[0], first[1]),
             )
-            irradiance[at] = light
-            deviation[at] = np.where(np.isnan(deviation[at]), np.nan, error)
+            lights[channel][:, cells] = light
+            deviations[channel][:, cells] = np.where(np.isnan(first[1]), np.nan, error)
+    for whole, planes in ((irradiance, lights), (deviation, deviations)):
+        for channel, each in enumerate(planes):
+            _cells_of(whole[:rows, :columns, channel])[...] = each.reshape(2, 2, rows // 2, -1)
+
+
+def _cells_of(plane: NDArray[Any]) -> NDArray[Any]:
+    """Return a view (2, 2, rows / 2, columns / 2) of a plane: its cells of 2 x 2 samples."""
+    cells = plane.reshape(plane.shape[0] // 2, 2, plane.shape[1] // 2, 2)
+    return cells.transpose(1, 3, 0, 2)
+
+
+def _by_cells(plane: NDArray[Any]) -> NDArray[Any]:
+    """Return a copy of the samples of a plane, (4, cells)."""
+    return np.ascontiguousarray(_cells_of(plane)).reshape(4, -1)
 
 
 def _joined(
     tables: LightTables,
     values: Sequence[NDArray[Any]],
-    errors: Sequence[NDArray[np.float32]],
+    errors: NDArray[np.float32],
     hidden: Sequence[NDArray[np.bool_]],
     first: tuple[Floats32, Floats32],
 ) -> tuple[Floats32, Floats32]:
-    """Return the light of samples, (S,), and its deviation, infinite where all may be saturated.
+    """Return the light of samples, (4, C), and its deviation, infinite where all may be saturated.
 
     Args:
         tables: of their colour
         values: of each frame
-        errors: standard deviations of the errors that frames have in common, levels
+        errors: standard deviations of the errors that frames have in common, levels, (n, C)
         hidden: whether another colour of the pixel is saturated
         first: light and deviation without these errors
     """
     exposures, full = tables.exposures, np.float32(tables.sensor.full)
     order = np.argsort(exposures, kind="stable").tolist()
-    reach, top = np.float32(CLIPPING_SIGMAS), tables.sensor.highest(None)
-    saturated = [each + reach * error > top for each, error in zip(values, errors, strict=True)]
+    reach, top = np.float32(CLIPPING_SIGMAS), np.float32(tables.sensor.highest(None))
+    saturated = [each > top - reach * error for each, error in zip(values, errors, strict=True)]
+    # Frames beyond the last one that is not saturated everywhere say nothing.
+    seeing = [k for k, at in enumerate(order) if not saturated[at].all()]
+    order = order[: 1 + max(seeing, default=0)]
     light, deviation = first
-    samples = [row.take(each) for row, each in zip(tables.irradiance, values, strict=True)]
+    samples = {at: tables.irradiance[at].take(values[at]) for at in order}
     for _ in range(_ROUNDS):
         bins = tables.bins(light)
-        above, weights, own, shared, least = (np.zeros(light.size, np.float32) for _ in range(5))
-        for place in order:
-            sample, exposure = samples[place], np.float32(exposures[place])
-            noise = np.square(tables.spreads[place].take(bins)) + np.float32(_LEAST_VARIANCE)
-            error = errors[place] * tables.steps[place].take(bins)
-            counts = ~(saturated[place] | tables.clipped[place].take(bins))
-            counts &= ~(hidden[place] & (weights == 0))
+        above, weights, own, shared, least = (np.zeros(light.shape, np.float32) for _ in range(5))
+        for at in order:
+            sample, saturates = samples[at], np.float32(full / exposures[at])
+            noise = tables.variances[at].take(bins)
+            error = errors[at] * tables.steps[at].take(bins)
+            both = noise + np.square(error)
+            dim = saturated[at] | hidden[at]
+            counts = ~(saturated[at] | tables.clipped[at].take(bins))
+            is_known = weights > 0
+            counts &= is_known | ~hidden[at]
             # Nothing is known before the first frame that counts.
-            total = np.where(weights > 0, weights, np.float32(1))
-            known = np.where(weights > 0, own + np.square(shared), np.float32(np.inf))
-            mean, known = above / total, known / np.square(total)
-            lost = mean - reach * np.sqrt(known) > full / exposure
-            spread = np.sqrt(known + noise + np.square(error))
-            darker = (sample < mean - reach * spread) & (mean > full / exposure / 4)
-            darker |= hidden[place] & (sample < mean - spread)
+            total = np.where(is_known, weights, np.float32(1))
+            mean = above / total
+            known = np.where(is_known, own + np.square(shared), np.float32(np.inf))
+            known /= np.square(total)
+            counts &= mean - reach * np.sqrt(known) <= saturates
+            spread = np.sqrt(known + both)
+            darker = (sample < mean - reach * spread) & (mean > saturates / 4)
+            darker |= hidden[at] & (sample < mean - spread)
             # What may be saturated says how much light there is at least, and so do longer ones.
-            reached = reach * np.sqrt(noise + np.square(error))
-            counts &= ~(lost | darker | (sample + reached < least))
-            dim = saturated[place] | hidden[place]
+            reached = reach * np.sqrt(both)
+            counts &= ~(darker | (sample + reached < least))
             least = np.where(dim, np.maximum(least, sample - reached), least)
-            weight = counts / (noise + np.square(error))
+            weight = counts / both
             above += weight * sample
             own += np.square(weight) * noise
             shared += weight * error
