@@ -13,7 +13,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
@@ -37,6 +37,7 @@ from camctl.records.report_file import clean_details
 from camctl.system.interrupts import uninterrupted
 from camctl.system.memory import return_free_memory, share_free_memory
 from camctl.system.system_errors import resource_error
+from camctl.system.threads import Threads
 
 WAITING_BYTES = 32_000_000
 """Size of the frames that may wait for the worker; at least one may: 16 frames of 2 MP, 8 bits."""
@@ -170,7 +171,7 @@ class Sequence:
         if not positions:
             return 0.0
         waiting: deque[Future[None]] = deque()
-        with ThreadPoolExecutor(1, thread_name_prefix="camctl-frame") as worker:
+        with Threads(1, thread_name_prefix="camctl-frame") as worker:
             try:
                 self._report_progress("shooting")
                 settings = [self._capture.plan.settings[position] for position in positions]

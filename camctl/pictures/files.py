@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import lru_cache
 from importlib import import_module
@@ -36,7 +35,7 @@ from camctl.system.interrupts import uninterrupted
 from camctl.system.library_output import exr_source, quiet_libraries
 from camctl.system.memory import return_free_memory
 from camctl.system.picture_operations import opencv, png
-from camctl.system.threads import THREADS, in_threads
+from camctl.system.threads import THREADS, Threads, in_threads
 
 #: Several threads compress the radiance of a picture of at least so many pixels.
 _LARGE = 4_000_000
@@ -91,7 +90,7 @@ def write_picture_files(
     reducer = LightReducer(height, width, rendering.full)
     raw = np.empty(total.shape, np.float16) if has_raw(rendering) else None
     with (
-        ThreadPoolExecutor(2) as threads,
+        Threads(2) as threads,
         atomic_file(radiance) as radiance_part,
         atomic_file(directory / IMAGE) as image_part,
     ):
@@ -123,7 +122,7 @@ def _written(
     rendering: Rendering,
     exr: _RadianceFile,
     reducer: LightReducer,
-    threads: ThreadPoolExecutor,
+    threads: Threads,
     raw: NDArray[np.float16] | None,
 ) -> Iterator[NDArray[np.uint16]]:
     """Yield the strips of image.tiff; each of them is in `exr`, `reducer` and `raw` then."""

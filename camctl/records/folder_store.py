@@ -247,9 +247,8 @@ class FolderStore:
             return AfterFailure(
                 "the photographs are as they were", "merge them again", {"overwrite": True}
             )
-        return AfterFailure(
-            f"{done} of {count} frames are kept", "shoot the others", {"resume": self.directory}
-        )
+        hint = "shoot the others" if done < count else "make the picture of them"
+        return AfterFailure(f"{done} of {count} frames are kept", hint, {"resume": self.directory})
 
     def frame(self, position: int) -> Pixels:
         """Read the samples of a frame, and compare its checksum with the one in the report.

@@ -7,6 +7,8 @@ import os
 import signal
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
@@ -18,8 +20,10 @@ from command_line import Run
 from crash_sweep import checked
 
 import camctl
-from camctl.interface.camera import CameraBase
+from camctl.interface.camera import CameraBase, Frame
 from camctl.records.folder import CaptureFolder
+from camctl.records.folder_store import FolderStore
+from camctl.records.frame_store import KeptFiles
 from camctl.sim.camera import SimulatedCamera
 from camctl.system.interrupts import run_interruptible
 
@@ -27,6 +31,7 @@ SHOOT = "shoot -O size=24x16 --ratios 1,8 --base 0.03 -o out"
 SIGNALS = [(signal.SIGINT, ""), (signal.SIGTERM, " by SIGTERM"), (signal.SIGHUP, " by SIGHUP")]
 CLOSING = "camctl.sim.camera:SimulatedCamera._close"
 RESUME = "shoot the others (camctl resume out)"
+COMPLETE = "make the picture of them (camctl resume out)"
 
 
 class Cameras:
@@ -107,8 +112,8 @@ AtCall = Callable[[str, signal.Signals], None]
             "",
         ),
         (SHOOT, "camctl.sim.camera:SimulatedCamera._frames", f"; 0 of 2 frames are kept; {RESUME}"),
-        (SHOOT, "camctl.captures.sequence:complete", f"; 2 of 2 frames are kept; {RESUME}"),
-        (SHOOT, "tifffile:imwrite", f"; 2 of 2 frames are kept; {RESUME}"),
+        (SHOOT, "camctl.captures.sequence:complete", f"; 2 of 2 frames are kept; {COMPLETE}"),
+        (SHOOT, "tifffile:imwrite", f"; 2 of 2 frames are kept; {COMPLETE}"),
         (SHOOT, CLOSING, "; the capture in out is complete"),
         (SHOOT, "camctl.cli.capture_output:capture_text", "; the capture in out is complete"),
         ("solve -n 2", "camctl.exposure.solver:solve", ""),
@@ -154,7 +159,7 @@ def test_second_signal_changes_nothing(
     ran = run(*SHOOT.split())
     assert ran.status == 143
     assert ran.error.startswith("interrupted by SIGTERM; ")
-    assert ran.error.endswith(RESUME)
+    assert ran.error.endswith("(camctl resume out)")
     assert (cameras.opened, cameras.closed) == (1, 1)
     assert checked(Path("out"))["wrong"] == []
 
@@ -221,6 +226,38 @@ def test_signal_at_the_ends_of_a_with_block_frees_the_folder(
     assert ran.status == 143
     assert ran.err.startswith("camctl: interrupted by SIGTERM")
     assert not Path("out").exists() or checked(Path("out"))["wrong"] == []
+
+
+def test_signal_while_the_thread_for_frames_starts_keeps_the_frame(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The executor does not know the thread yet, and would not wait for it."""
+    keep, sent = FolderStore.keep, []
+
+    def keep_slowly(store: FolderStore, frame: Frame, position: int) -> KeptFiles:
+        time.sleep(0.3)
+        return keep(store, frame, position)
+
+    def interrupt(frame: FrameType, event: str, _argument: object) -> None:
+        before = frame.f_back
+        if event != "call" or before is None or frame.f_code is not threading.Event.wait.__code__:
+            return
+        thread = before.f_locals.get("self")
+        if isinstance(thread, threading.Thread) and thread.name.startswith("camctl-frame"):
+            sys.setprofile(None)
+            sent.append(signal.SIGTERM)
+            deliver(signal.SIGTERM, frame)
+
+    monkeypatch.setattr(FolderStore, "keep", keep_slowly)
+    sys.setprofile(interrupt)
+    try:
+        ran = run(*SHOOT.split())
+    finally:
+        sys.setprofile(None)
+    assert not [each for each in threading.enumerate() if each.name.startswith("camctl-frame")]
+    assert (sent, ran.status) == ([signal.SIGTERM], 143)
+    assert ran.error == f"interrupted by SIGTERM; 1 of 2 frames are kept; {RESUME}"
+    assert checked(Path("out"))["wrong"] == []
 
 
 @pytest.mark.slow
