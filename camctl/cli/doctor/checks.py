@@ -74,6 +74,7 @@ EXTRAS: Final = {
     "plots": ("matplotlib", "plots"),
     "studies": ("scipy", "other methods in camctl tradeoff solver"),
     "fast": ("numba", "a faster simulated camera"),
+    "bluesky": ("ophyd-async", "a detector for bluesky's RunEngine"),
     "dask": ("distributed", "studies on a Dask cluster"),
 }
 RULES = Path(UDEV_FILE)
