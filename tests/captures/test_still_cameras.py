@@ -45,7 +45,7 @@ def test_metering_actuates_the_shutter_only_on_request() -> None:
         with pytest.raises(UsageError, match="no preview"):
             plan_capture(camera, CaptureRequest())
         assert camera.actuations == 0
-        assert plan_capture(camera, CaptureRequest(base_s=1 / 60)).metering is None
+        assert plan_capture(camera, CaptureRequest(base_s=1 / 60, ratios=(1, 4))).metering is None
         assert camera.actuations == 0
 
 

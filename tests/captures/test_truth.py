@@ -87,6 +87,7 @@ def test_errors_are_as_large_as_the_sensor_predicts(
     assert 0.6 <= median <= 0.75
 
 
+@pytest.mark.slow
 def test_memorial_scene_agrees_with_its_radiance_map(
     real_data: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from sampling import some
 from small_cameras import gradient, small_camera, sum_of_frames
 
 import camctl
@@ -71,7 +72,7 @@ def test_suspects_are_the_frames_that_disagree_with_their_neighbours(
     assert suspects(checks) == expected
 
 
-@pytest.mark.parametrize("factor", [0.1, 0.95, 1.05, 2])
+@pytest.mark.parametrize("factor", some([0.1, 0.95, 1.05, 2], every=2, first=1))
 @pytest.mark.parametrize(
     ("sensor", "position"), [("standard", 0), ("machine-vision", 2), ("phone", 1)]
 )
@@ -90,7 +91,9 @@ def test_two_percent_are_seen_where_noise_and_levels_allow(position: int, factor
 
 
 @pytest.mark.parametrize("factor", [0.99, 1.01])
-@pytest.mark.parametrize("sensor", ["standard", "machine-vision", "ideal-12"])
+@pytest.mark.parametrize(
+    "sensor", some(["standard", "machine-vision", "ideal-12"], every=2, first=1)
+)
 def test_one_percent_is_within_the_tolerance(sensor: str, factor: float) -> None:
     assert wrong_frame(sensor, 1, factor).trustworthy
 
@@ -140,7 +143,7 @@ def test_light_that_spreads_and_noise_are_no_wrong_exposure(scene: str, sensor: 
         pytest.param("ccd", marks=pytest.mark.slow),
     ],
 )
-@pytest.mark.parametrize("ratios", [(1.0, 8.9, 88.0), (1.0, 2.0, 6.2)])
+@pytest.mark.parametrize("ratios", some([((1.0, 8.9, 88.0),), ((1.0, 2.0, 6.2),)], every=2))
 def test_moving_things_are_in_parts_of_the_picture(sensor: str, ratios: tuple[float, ...]) -> None:
     """Only the wheel moves: no sentence says that a frame as a whole is wrong."""
     request = CaptureRequest("log", 1000.0, ratios=ratios)
@@ -195,13 +198,16 @@ def test_true_exposures_are_trusted(scene: str, sensor: str) -> None:
 
 @pytest.mark.parametrize(
     ("late", "ratios"),
-    [
-        (1, (1.0, 8.9, 88.0)),
-        (2, (1.0, 2.0, 4.0)),
-        (1, (1.0, 1.003, 2.985)),
-        (2, (1.0, 1.003, 2.985)),
-        (1, (1.0, 8.0)),
-    ],
+    some(
+        [
+            (1, (1.0, 8.9, 88.0)),
+            (2, (1.0, 2.0, 4.0)),
+            (1, (1.0, 1.003, 2.985)),
+            (2, (1.0, 1.003, 2.985)),
+            (1, (1.0, 8.0)),
+        ],
+        every=2,
+    ),
 )
 def test_wrong_control_delay_makes_a_capture_untrustworthy(
     late: int, ratios: tuple[float, ...], monkeypatch: pytest.MonkeyPatch

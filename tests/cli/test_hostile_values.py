@@ -97,7 +97,7 @@ DIFFERENT = {kind(option): (name, option) for name, option in CASES}
 PARSED = {(*key[1:], each[1].callback): each for key, each in DIFFERENT.items()}
 """Those of `DIFFERENT` whose values are parsed in different ways, whatever their names are."""
 
-PARSED_SHARE = 3
+PARSED_SHARE = 5
 """One in so many values is only parsed by default; slow tests run commands with all of them."""
 
 

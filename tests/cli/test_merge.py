@@ -20,6 +20,7 @@ from bracketed_photographs import (
     light,
 )
 from command_line import Run
+from sampling import some
 
 from camctl import PhotographOptions, merge, read_report
 
@@ -118,7 +119,7 @@ def test_as_many_photographs_as_are_asked_for_are_used(run: Run, series: Series)
     assert (len(used), used.count(True)) == (6, 4)
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+@pytest.mark.parametrize("suffix", some([".png", ".jpg"], every=2))
 def test_the_share_that_is_too_dark_is_predicted(run: Run, series: Series, suffix: str) -> None:
     line = (*series(TIMES[:4:3], suffix, scene=LARGE), "--curve", "srgb")
     for options in ("--range 100", "-n 2"):  # about 30 %, and what is black in both

@@ -10,6 +10,7 @@ import pytest
 from command_line import Run
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from sampling import some
 
 from camctl.errors import CamctlError
 from camctl.interface.camera import CameraInfo
@@ -76,7 +77,7 @@ def test_the_profile_is_switched_off(run: Run, tmp_path: Path) -> None:
     assert ran.err.count(ASSUMED) == 1
 
 
-@pytest.mark.parametrize("command", ["solve", "evaluate --ratios 1,2", "table show"])
+@pytest.mark.parametrize("command", some(["solve", "evaluate --ratios 1,2", "table show"], every=3))
 def test_computations_for_a_camera_use_its_profile(run: Run, calibrated: str, command: str) -> None:
     options = ("-O", "unknown=yes", "-O", "scene=ramp", "-O", "size=160x120")
     line = (*command.split(), "--camera", "sim", "--sensor", "consumer", *options, "-n", "2")

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from command_line import Run
+from sampling import some
 
 MODEL = """E =
 0 0.25 0.5
@@ -261,7 +262,7 @@ def write_log_curve(path: Path, dynamic_range: float) -> None:
     path.write_text("\n".join(f"{E} {u}" for E, u in rows))
 
 
-@pytest.mark.parametrize("option", ["--desired", "--response"])
+@pytest.mark.parametrize("option", some(["--desired", "--response"], every=2, first=1))
 def test_desired_response_from_a_file_has_its_own_range(run: Run, option: str) -> None:
     write_log_curve(Path("desired.txt"), 100)
     arguments = ("evaluate", "--ratios", "1,9", "--no-sensitivity", "--json")

@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 from command_line import Run
 from pseudo_terminal import Terminal
+from sampling import some
 from series_bench import journal
 
 import camctl
@@ -166,7 +167,8 @@ def test_sets_that_fail_are_counted_and_the_status_says_it(
 
 
 @pytest.mark.parametrize(
-    ("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
+    ("number", "status"),
+    some([(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)], every=3, first=1),
 )
 def test_a_signal_keeps_what_was_shot_and_resume_goes_on(
     run: Run, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, status: int

@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 from command_line import Run
 from crash_sweep import checked
+from sampling import some
 
 import camctl
 from camctl.interface.camera import CameraBase, Frame
@@ -146,7 +147,9 @@ def test_signal_ends_a_command(
         assert checked(Path("out"))["wrong"] == []
 
 
-@pytest.mark.parametrize("first", ["camctl.sim.camera:SimulatedCamera._frames", "tifffile:imwrite"])
+@pytest.mark.parametrize(
+    "first", some(["camctl.sim.camera:SimulatedCamera._frames", "tifffile:imwrite"], every=2)
+)
 @pytest.mark.parametrize(
     "second",
     [CLOSING, "camctl.captures.sequence:Sequence._failure", "camctl.cli:_report"],

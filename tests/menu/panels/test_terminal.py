@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 from pseudo_terminal import HELPERS, Terminal, program_environment
+from sampling import some
 
 from camctl.errors import UsageError
 from camctl.interface.backends import PANELS, load
@@ -148,7 +149,7 @@ def test_escape_and_q_are_the_exit_key(start: Start) -> None:
     assert terminal.raw.endswith("returned None\r\n")
 
 
-@pytest.mark.parametrize("size", [(16, 2), (20, 4), (23, 7)])
+@pytest.mark.parametrize("size", some([((16, 2),), ((20, 4),), ((23, 7),)], every=3))
 def test_small_terminal_is_used_to_its_last_cell(start: Start, size: tuple[int, int]) -> None:
     terminal = start(MENU, *size)
     terminal.wait_for("[Set]")
@@ -191,7 +192,7 @@ def test_characters_outside_the_locale_are_replaced(start: Start, locale: str, s
 
 @pytest.mark.parametrize(
     ("end_with", "status"),
-    [("quit", 0), (signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)],
+    some([("quit", 0), (signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)], every=2),
 )
 def test_terminal_is_restored(start: Start, end_with: str | signal.Signals, status: int) -> None:
     terminal = start(MENU_THAT_KEEPS_SHOOTING)
