@@ -46,6 +46,7 @@ from camctl.cli.solve_output import SettingsResult, SolveResult
 from camctl.errors import UsageError
 
 if TYPE_CHECKING:
+    from camctl.exposure.candidates import BatchScore
     from camctl.exposure.grid_search import SettingsSolution
     from camctl.exposure.lower_bound import Certificate
     from camctl.model.response.camera import CameraResponse
@@ -63,8 +64,11 @@ DEFAULT_EVALUATIONS = 400_000
 _MOST_SETS = 1e12
 """Sets of exposures that no time limit exceeds: months of work."""
 
-_TIMED_SETS = 256
-"""Sets that are evaluated to measure this machine's speed."""
+PROOF_SECONDS = 20.0
+"""Processor time for them, about, at most."""
+
+_TIMED_SETS, _TIMED_SECONDS = 256, 1.0
+"""Sets that are evaluated to measure this machine's speed, and about the time for it, at most."""
 
 _REFRESH_S = 0.2
 """Time between two updates of the progress bar, s."""
@@ -129,17 +133,22 @@ def _solve(
     limits: SearchLimits,
     objective: ObjectiveOptions,
 ) -> SolveResult:
-    from camctl.exposure.grid_search import solve_settings
+    from camctl.exposure.grid_search import base_indices, solve_settings
     from camctl.exposure.objective import Objective
     from camctl.exposure.settings_grid import SettingsGrid
-    from camctl.exposure.solver import SearchOptions
+    from camctl.exposure.solver import SearchOptions, part_of
     from camctl.exposure.solver import solve as search
 
     real, desired = camera.response, request.desired()
     levels_wanted, count = request.get("levels_wanted"), count_of(request)
     total_limit = math.inf if limits.total_limit is None else limits.total_limit
+    grid = None
+    if limits.settings is not None:
+        grid = SettingsGrid(limits.settings, limits.gains or (1.0,), total_limit=total_limit)
+        base_indices(grid, count)  # refuses what no search can find
     with progress_bar("searching") as bar:
         tolerance = request.get("tolerance")
+        progress = without_stage(bar)
         found = search(
             real,
             desired,
@@ -148,19 +157,21 @@ def _solve(
                 levels_wanted, objective.p, objective.noise_term(), objective.jitter
             ),
             tolerance=tolerance,
-            total_limit=total_limit if limits.settings is None else math.inf,
+            total_limit=total_limit if grid is None else math.inf,
             search=SearchOptions(limits.seed, time_limit_s=limits.time_limit),
-            progress=without_stage(bar),
+            progress=part_of(progress, 0.0, 1.0 if grid is None else 0.5),
         )
-        if limits.settings is None:
+        if grid is None:
             return SolveResult(camera, desired, found)
         restricted = solve_settings(
             real,
             desired,
             count,
-            SettingsGrid(limits.settings, limits.gains or (1.0,), total_limit=total_limit),
+            grid,
             objective=Objective(levels_wanted, objective.p),
             search=SearchOptions(limits.seed),
+            ideal=found,
+            progress=part_of(progress, 0.5, 1.0),
         )
     return SolveResult(camera, desired, found, restricted=_with_gains(restricted, limits))
 
@@ -230,13 +241,15 @@ def _solve_with_certificate(
 
 def _with_gains(solution: SettingsSolution, limits: SearchLimits) -> SettingsResult:
     """Return the solution with the smallest gain that makes each exposure."""
-    pairs = [
-        (time_s, gain)
-        for gain in sorted(limits.gains or (1.0,))
-        for time_s in limits.settings or ()
-    ]
+    import numpy as np
+
+    times = np.array(limits.settings)
     chosen = [
-        next(pair for pair in pairs if abs(pair[0] * pair[1] / product - 1) <= SAME_EXPOSURE)
+        next(
+            (float(times[same][0]), gain)
+            for gain in sorted(limits.gains or (1.0,))
+            if (same := np.abs(times * gain / product - 1) <= SAME_EXPOSURE).any()
+        )
         for product in solution.settings
     ]
     times_s, gains = zip(*chosen, strict=True)
@@ -254,13 +267,18 @@ def _certify(
 ) -> Certificate:
     """Return the best n exposures found, with a lower bound on xi for all others.
 
-    Evaluates `DEFAULT_EVALUATIONS` sets, or as many as this machine does in about `time_limit_s`.
+    Evaluates `DEFAULT_EVALUATIONS` sets, of cameras of many levels what takes `PROOF_SECONDS`; or
+    as many as this machine does in about `time_limit_s`.
     """
+    from camctl.exposure.candidates import BatchScore
     from camctl.exposure.lower_bound import certify
+    from camctl.exposure.objective import ExposureProblem
 
-    most = DEFAULT_EVALUATIONS
-    rate = _sets_per_second(real, desired, n)
+    score = BatchScore(ExposureProblem(real, desired, n), exact=True)
+    rate = 1 / score.seconds
+    most = min(DEFAULT_EVALUATIONS, int(PROOF_SECONDS * rate))
     if time_limit_s is not None:
+        rate = _sets_per_second(score, desired, n)
         most = max(1, int(min(time_limit_s * rate, _MOST_SETS)))
     label = "proving" if n <= 2 else "bounding"
     with progress_bar(label) as bar, _advance_with_time(bar, most / rate):
@@ -269,20 +287,17 @@ def _certify(
         )
 
 
-def _sets_per_second(real: CameraResponse, desired: DesiredResponse, n: int) -> float:
+def _sets_per_second(score: BatchScore, desired: DesiredResponse, n: int) -> float:
     """Return how many sets of n exposures this machine evaluates per second."""
     import numpy as np
 
-    from camctl.exposure.candidates import BatchScore
-    from camctl.exposure.objective import ExposureProblem
-
-    score = BatchScore(ExposureProblem(real, desired, n), exact=True)
-    spread = np.linspace(0.0, math.log(desired.dynamic_range), _TIMED_SETS)
+    count = max(1, min(_TIMED_SETS, int(_TIMED_SECONDS / score.seconds)))
+    spread = np.linspace(0.0, math.log(desired.dynamic_range), count)
     sets = np.exp(spread[:, np.newaxis] * np.linspace(0.0, 1.0, n))
     score(sets[:1])
     started = time.perf_counter()
     score(sets)
-    return _TIMED_SETS / (time.perf_counter() - started)
+    return count / (time.perf_counter() - started)
 
 
 @contextmanager

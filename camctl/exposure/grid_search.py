@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -19,7 +18,15 @@ from camctl.errors import UsageError
 from camctl.exposure.candidates import BatchScore
 from camctl.exposure.objective import ExposureProblem, Objective
 from camctl.exposure.settings_grid import SAME_RATIO, SettingsGrid
-from camctl.exposure.solver import SearchOptions, Solution, solve
+from camctl.exposure.solver import (
+    MAX_DIRECT_LEVELS,
+    Progress,
+    SearchOptions,
+    Solution,
+    coarser,
+    part_of,
+    solve,
+)
 from camctl.model.response.camera import CameraResponse, FloatArray
 from camctl.model.response.desired import DesiredResponse
 
@@ -40,6 +47,13 @@ MOVES_PER_SET = 48
 
 MAX_EXACT_SCORES = 24
 """Best sets whose exact objective decides."""
+
+MOVED_SETS = 900
+"""Sets that are changed in all rounds."""
+
+MOST_SECONDS, RANKED_SECONDS = 30.0, 5.0
+"""Processor time for all scores of a batch, and for those that decide at the end, about, at most.
+Cameras of many levels are searched with fewer of them."""
 
 MAX_BASES, RANDOM_SETS = 4096, 256
 """Starts: the best arbitrary exposures rounded, at most once for each base; and random sets."""
@@ -68,6 +82,8 @@ def solve_settings(
     *,
     objective: Objective | None = None,
     search: SearchOptions | None = None,
+    ideal: Solution | None = None,
+    progress: Progress | None = None,
 ) -> SettingsSolution:
     """Return the best n different exposures out of the settings of a camera.
 
@@ -79,6 +95,8 @@ def solve_settings(
         objective: the quantity to minimise; None: missing levels of n * M
         search: options of the search for arbitrary exposures, used where the sets are too many to
             score all
+        ideal: the best arbitrary exposures, where they are known; None: they are searched
+        progress: called with the completed share, 0 to 1
 
     Raises:
         UsageError: the settings are too few, or no set meets the limits; states the nearest limit
@@ -88,36 +106,50 @@ def solve_settings(
     problem = ExposureProblem(response, desired, n, objective or Objective())
     started = time.process_time()
     exposures = grid.exposures
-    bases = _base_indices(grid, n)
+    bases = base_indices(grid, n)
     batch = BatchScore(problem)
-
-    def score(sets: Indices) -> FloatArray:
-        chosen = exposures[sets]
-        return batch(chosen / chosen[:, :1])
-
-    all_sets = _enumerate(grid, n, bases)
+    all_sets = _enumerate(grid, n, bases, MOST_SECONDS / batch.seconds)
     if all_sets is None:
-        ranked = _search(problem, grid, bases, score, search or SearchOptions())
+        if ideal is None:
+            there = part_of(progress, 0.0, 0.5)
+            ideal = solve(response, desired, n, objective=objective, search=search, progress=there)
+        rng = np.random.default_rng((search or SearchOptions()).seed)
+        ranked = _search(problem, grid, bases, ideal, rng, part_of(progress, 0.5, 1.0))
+        if ranked.shape[0] > 0 and MOVED_SETS * MOVES_PER_SET * batch.seconds > MOST_SECONDS:
+            ranked = ranked[: max(1, int(RANKED_SECONDS / batch.seconds))]
+            ranked = _ranked(ranked, _scores(batch, exposures, ranked))
     else:
-        ranked = _ranked(all_sets, score(all_sets))
+        ranked = _ranked(all_sets, _scores(batch, exposures, all_sets))
+    ranked = ranked[: max(1, min(MAX_EXACT_SCORES, int(RANKED_SECONDS / problem.seconds)))]
     best = min(
         (problem.score((exposures[row] / exposures[row[0]]).tolist()), tuple(row.tolist()))
-        for row in ranked[:MAX_EXACT_SCORES]
+        for row in ranked
     )[1]
     chosen = exposures[list(best)]
     found = Solution.of(
         problem,
         tuple((chosen / chosen[0]).tolist()),
         seconds=time.process_time() - started,
-        evaluations=batch.evaluations + len(ranked[:MAX_EXACT_SCORES]),
+        evaluations=batch.evaluations + len(ranked),
     )
     return SettingsSolution(
         **vars(found), settings=tuple(chosen.tolist()), enumerated=all_sets is not None
     )
 
 
-def _base_indices(grid: SettingsGrid, n: int) -> range:
-    """Return the indices that the shortest exposure may have."""
+def _scores(batch: BatchScore, exposures: FloatArray, sets: Indices) -> FloatArray:
+    """Return the objective of each row of indices."""
+    chosen = exposures[sets]
+    return batch(chosen / chosen[:, :1])
+
+
+def base_indices(grid: SettingsGrid, n: int) -> range:
+    """Return the indices that the shortest exposure may have.
+
+    Raises:
+        UsageError: the settings are too few, or no set meets the limits
+        DataError: a setting is not a positive, finite number
+    """
     exposures = grid.exposures
     if exposures.size < n:
         raise UsageError(
@@ -144,14 +176,14 @@ def _base_indices(grid: SettingsGrid, n: int) -> range:
     return range(first, stop)
 
 
-def _enumerate(grid: SettingsGrid, n: int, bases: range) -> Indices | None:
+def _enumerate(grid: SettingsGrid, n: int, bases: range, most: float) -> Indices | None:
     """Return all index sets (C, n) of different ratios within limits; None if they are too many."""
     exposures = grid.exposures
     steps = np.diff(np.log(exposures))
     if steps.size > 0 and bool(np.all(np.abs(steps - steps[0]) < SAME_RATIO)):
         bases = bases[:1]  # equal ratios: the sets of the first base have all ratios there are
     count = sum(math.comb(exposures.size - 1 - start, n - 1) for start in bases)
-    if count > MAX_ENUMERATED_SETS:
+    if count > min(MAX_ENUMERATED_SETS, most):
         return None
     sets = np.array(
         [
@@ -173,13 +205,20 @@ def _search(
     problem: ExposureProblem,
     grid: SettingsGrid,
     bases: range,
-    score: Callable[[Indices], FloatArray],
-    options: SearchOptions,
+    ideal: Solution,
+    rng: np.random.Generator,
+    progress: Progress | None,
 ) -> Indices:
     """Return good index sets, best first: the rounded continuous optimum, improved by moves."""
-    rng = np.random.default_rng(options.seed)
     exposures, n = grid.exposures, problem.n
-    ideal = solve(problem.response, problem.desired, n, objective=problem.objective, search=options)
+    batch = BatchScore(problem)
+    while (
+        MOVED_SETS * MOVES_PER_SET * batch.seconds > MOST_SECONDS
+        and problem.response.M > MAX_DIRECT_LEVELS
+    ):
+        problem = coarser(problem)[0]
+        batch = BatchScore(problem)
+    moves = max(2, min(MOVES_PER_SET, int(MOST_SECONDS / (MOVED_SETS * batch.seconds))))
     logs = np.log(exposures)
     starts = np.unique(np.linspace(bases.start, bases.stop - 1, MAX_BASES).astype(np.intp))
     targets = logs[starts][:, np.newaxis] + np.log(ideal.exposures)
@@ -192,7 +231,7 @@ def _search(
         base, total = candidates[:, 0], exposures[candidates].sum(axis=1)
         valid = (base >= bases.start) & (base < bases.stop) & (total <= grid.total_limit)
         scores = np.full(len(candidates), np.inf)
-        scores[valid] = score(candidates[valid])
+        scores[valid] = _scores(batch, exposures, candidates[valid])
         return scores
 
     scores = score_within_limits(sets)
@@ -200,20 +239,25 @@ def _search(
     for turn in range(ROUNDS):
         best = np.argsort(scores, kind="stable")[:keep]
         sets, scores = sets[best], scores[best]
-        changed = _moved(rng, sets, exposures.size)
+        changed = _moved(rng, sets, exposures.size, moves)
         sets = np.concatenate([sets, changed])
         scores = np.concatenate([scores, score_within_limits(changed)])
         sets, unique = np.unique(sets, axis=0, return_index=True)
         scores = scores[unique]
         if turn in HALVING_ROUNDS:
             keep //= 2
+        if progress is not None:
+            progress((turn + 1) / ROUNDS)
     return _ranked(sets[np.isfinite(scores)], scores[np.isfinite(scores)])
 
 
-def _moved(rng: np.random.Generator, sets: Indices, size: int) -> Indices:
-    """Return changed copies: one exposure, all from one on, or all, by steps of every size."""
+def _moved(rng: np.random.Generator, sets: Indices, size: int, count: int) -> Indices:
+    """Return `count` changed copies of each set.
+
+    One exposure, all from one on, or all are moved, by steps of every size.
+    """
     n = sets.shape[1]
-    copies = np.repeat(sets, MOVES_PER_SET, axis=0)
+    copies = np.repeat(sets, count, axis=0)
     step = np.exp(rng.uniform(0, math.log(max(2.0, size / 2)), len(copies)))
     step = np.round(step * rng.choice([-1, 1], len(copies))).astype(np.intp)
     one = rng.integers(0, n, len(copies))[:, np.newaxis]

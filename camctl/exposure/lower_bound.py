@@ -43,8 +43,12 @@ ROUNDING_ERROR = 1e-10
 MAX_BOXES_AT_ONCE = 20_000
 """Boxes divided in one step, which bounds memory."""
 
-LIPSCHITZ_POINTS = 4096
-"""Points of t at which the Lipschitz constant is tabulated."""
+LIPSCHITZ_POINTS, LIPSCHITZ_LEVELS = 4096, 1 << 27
+"""Points of t at which the Lipschitz constant is tabulated, and levels at all of them, at most: a
+few seconds.  With fewer points the bound is a little lower."""
+
+LEVELS_AT_ONCE = 1 << 20
+"""Levels at those points that are in memory at once."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +124,9 @@ def certify(
     best, bound = search.run(found, tolerance, max_evaluations)
     G = problem.levels_wanted
     at_e_min = desired.e_min * float(desired.slope(np.array([desired.e_min]))[0])
-    outside = _bound_outside(problem) - G * at_e_min * math.exp(-MARGIN)
+    outside = bound
+    if bound > 0:  # otherwise the bound is 0 whatever lies outside
+        outside = _bound_outside(problem) - G * at_e_min * math.exp(-MARGIN)
     value = xi(union_of_levels(response.levels, best), desired, G)
     return Certificate(
         exposures=best,
@@ -147,12 +153,18 @@ class _Lipschitz:
 
     def __init__(self, problem: ExposureProblem, top: float) -> None:
         desired = problem.desired
-        self.t = np.linspace(0.0, top, LIPSCHITZ_POINTS)
-        levels = problem.response.levels / np.exp(self.t)[:, np.newaxis]
-        inside = np.clip(levels, desired.e_min, 1.0)
-        weight = np.where(levels > desired.e_min, inside * desired.slope(inside), 0.0)
+        M = problem.response.M
+        self.t = np.linspace(0.0, top, min(LIPSCHITZ_POINTS, LIPSCHITZ_LEVELS // M))
+        total = np.zeros(self.t.size)
+        step = max(1, LEVELS_AT_ONCE // M)
+        for first in range(0, self.t.size, step):
+            rows = slice(first, first + step)
+            levels = problem.response.levels / np.exp(self.t[rows])[:, np.newaxis]
+            inside = np.clip(levels, desired.e_min, 1.0)
+            weight = np.where(levels > desired.e_min, inside * desired.slope(inside), 0.0)
+            total[rows] = weight.sum(axis=1)
         at_e_min = desired.e_min * float(desired.slope(np.array([desired.e_min]))[0])
-        self.value = problem.levels_wanted * (weight.sum(axis=1) + at_e_min)
+        self.value = problem.levels_wanted * (total + at_e_min)
 
     def __call__(self, t: FloatArray) -> FloatArray:
         """Return the bound at the point of the table at or below t, which holds from there on."""

@@ -15,6 +15,9 @@ from camctl.model.response.camera import FloatArray
 MAX_SETTINGS = 200_000
 """Settings of one control, at most: bounds memory."""
 
+MAX_PRODUCTS = 4_000_000
+"""Pairs of a time and a gain, at most: 100 MB while they are sorted."""
+
 SETTING_LIMITS = 1e-12, 1e12
 """Of a shutter time, in seconds or relative, and of a gain: no camera comes near them."""
 
@@ -45,7 +48,7 @@ class SettingsGrid:
         Products that agree to `SAME_RATIO` count as one.
 
         Raises:
-            UsageError: one of the lists is empty
+            UsageError: one of the lists is empty, or there are more than `MAX_PRODUCTS` pairs
             DataError: a setting is beyond `SETTING_LIMITS`
         """
         low, high = SETTING_LIMITS
@@ -56,6 +59,12 @@ class SettingsGrid:
             wrong = values[~((values >= low) & (values <= high))]
             if wrong.size:
                 raise DataError(f"invalid setting {wrong[0]:g}: expected {low:g} to {high:g}")
+        if times.size * gains.size > MAX_PRODUCTS:
+            raise UsageError(
+                f"too many pairs of a time and a gain ({times.size * gains.size:,}): expected at "
+                f"most {MAX_PRODUCTS:,}",
+                hint="give fewer times or fewer gains",
+            )
         products = np.sort((times[:, np.newaxis] * gains).ravel())
         new = np.concatenate([[True], np.diff(np.log(products)) > SAME_RATIO])
         return np.asarray(products[new])

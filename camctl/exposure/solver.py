@@ -86,6 +86,16 @@ QUICK_MARGIN = 1.25
 SHARE_BETWEEN = 0.05
 """Share of the evaluations for a camera between the coarsest and the finest one."""
 
+MOST_SECONDS, QUICK_SECONDS = 50.0, 3.0
+"""Processor time of a search, and of a quick one for each number of exposures, about, at most: by
+`BatchScore.seconds` and `ExposureProblem.seconds`, so that results are the same on each machine."""
+
+START_SHARE, STEP_SHARE, FINAL_SHARE = 0.1, 0.3, 0.1
+"""Shares of it, at most, for the starts, for one step of all sets, and for the end of each set."""
+
+COARSE_SHARE = 0.6
+"""Share of it for the search with fewer levels, where there is one."""
+
 
 @dataclass(frozen=True)
 class SearchOptions:
@@ -211,8 +221,19 @@ def solve(
     return replace(found, seconds=process_time() - started)
 
 
+def part_of(progress: Progress | None, first: float, last: float) -> Progress | None:
+    """Return what reports the progress of a part of the work: from one share of it to another."""
+    if progress is None:
+        return None
+    return lambda share: progress(first + (last - first) * share)
+
+
 def _best_of_count(
-    problem: ExposureProblem, options: SearchOptions, total_limit: float, progress: Progress | None
+    problem: ExposureProblem,
+    options: SearchOptions,
+    total_limit: float,
+    progress: Progress | None,
+    seconds: float = MOST_SECONDS,
 ) -> Solution:
     n = problem.n
     if not total_limit >= n:
@@ -225,10 +246,12 @@ def _best_of_count(
     # xi is never below 0, and no set is shorter than equal exposures.
     if n == 1 or total_limit == n or problem.score(equal) == 0:
         return Solution.of(problem, equal)
-    running = _Search(problem, options, total_limit, progress)
-    known = None
+    known, first = None, 0.0
     if problem.response.M > MAX_DIRECT_LEVELS and problem.objective.noise is None:
-        known = _coarse_starts(problem, options, total_limit)
+        first, fewer = COARSE_SHARE, part_of(progress, 0.0, COARSE_SHARE)
+        known = _coarse_starts(problem, options, total_limit, fewer, COARSE_SHARE * seconds)
+    here = part_of(progress, first, 1.0)
+    running = _Search(problem, options, total_limit, here, (1 - first) * seconds)
     exposures = running.run(known)
     return Solution.of(problem, exposures, evaluations=running.score.evaluations)
 
@@ -249,11 +272,11 @@ def _fewest(
     quick = replace(options, effort=QUICK_EFFORT * options.effort)
     for n in range(1, most + 1):
         fewer = replace(problem, n=n)
-        found = _best_of_count(fewer, quick, total_limit, None)
+        here = part_of(progress, (n - 1) / most, (n - 0.5) / most)
+        found = _best_of_count(fewer, quick, total_limit, here, QUICK_SECONDS)
         if tolerance < found.xi < QUICK_MARGIN * tolerance or n == most:
-            found = _best_of_count(fewer, options, total_limit, None)
-        if progress is not None:
-            progress(n / most)
+            here = part_of(progress, (n - 0.5) / most, n / most)
+            found = _best_of_count(fewer, options, total_limit, here)
         if found.xi <= tolerance:
             return found
         best = min(best, found.xi)
@@ -265,23 +288,29 @@ def _fewest(
 
 
 def _coarse_starts(
-    problem: ExposureProblem, search: SearchOptions, total_limit: float
+    problem: ExposureProblem,
+    search: SearchOptions,
+    total_limit: float,
+    progress: Progress | None,
+    seconds: float,
 ) -> FloatArray:
     """Return (K, n) starts, as logarithms, from the search for a camera of fewer levels.
 
     Half of them are sets that it found; in the others the distances of ratios from multiples of
-    1/2, by which levels interleave, are reduced as the gaps are.
-    It takes half of the time at most.
+    1/2, by which levels interleave, are reduced as the gaps are: each follows the set it is from.
+    It takes half of the time limit at most, and about `seconds` of processor time.
     """
-    coarse, finer = coarse_camera(problem.response)
-    objective = Objective(max(1.0, problem.levels_wanted / finer), problem.objective.p)
+    fewer, finer = coarser(problem)
+    coarse = fewer.response
     limit_s = None if search.time_limit_s is None else search.time_limit_s / 2
     options = replace(search, time_limit_s=limit_s)
-    fewer = ExposureProblem(coarse, problem.desired, problem.n, objective)
-    running = _Search(fewer, options, total_limit, None)
-    known = None
+    known, first = None, 0.0
     if coarse.M > MAX_DIRECT_LEVELS:
-        known = _coarse_starts(fewer, options, total_limit)
+        first, there = COARSE_SHARE, part_of(progress, 0.0, COARSE_SHARE)
+        known = _coarse_starts(fewer, options, total_limit, there, COARSE_SHARE * seconds)
+    here = part_of(progress, first, 1.0)
+    running = _Search(fewer, options, total_limit, here, (1 - first) * seconds)
+    if known is not None:
         running.budget *= SHARE_BETWEEN
     running.run(known)
     logs = running.finalists
@@ -289,7 +318,14 @@ def _coarse_starts(
     whole = np.log(np.maximum(np.round(2 * np.exp(steps)), 2) / 2)
     near = np.abs(steps - whole) < 4 / (coarse.M + 1)
     reduced = np.where(near, whole + (steps - whole) / finer, steps)
-    return np.concatenate([logs, np.cumsum(reduced, axis=1)])
+    return np.stack([logs, np.cumsum(reduced, axis=1)], axis=1).reshape(-1, problem.n)
+
+
+def coarser(problem: ExposureProblem) -> tuple[ExposureProblem, float]:
+    """Return the problem for a camera of fewer levels, without jitter, and how many times fewer."""
+    coarse, finer = coarse_camera(problem.response)
+    objective = Objective(max(1.0, problem.levels_wanted / finer), problem.objective.p)
+    return ExposureProblem(coarse, problem.desired, problem.n, objective), finer
 
 
 def coarse_camera(response: CameraResponse) -> tuple[CameraResponse, float]:
@@ -309,53 +345,71 @@ class _Search:
         search: SearchOptions,
         limit: float,
         progress: Progress | None,
+        seconds: float,
     ) -> None:
         self.problem, self.limit, self.progress = problem, limit, progress
-        self.score = BatchScore(problem)
+        self.score, self.exact_scores = BatchScore(problem), 0
         self.deadline = monotonic() + (search.time_limit_s or math.inf)
         n, M, levels = problem.n, problem.response.M, problem.response.levels
         darkest = problem.desired.e_min or float(levels[levels > 0][0]) / MAX_EXPOSURES
         self.moves = RandomSets(
             np.random.default_rng(search.seed), n, problem.response, -math.log(darkest)
         )
-        sorted_at_once = n * M * len(problem.jitter_factors())
+        sorted_at_once = problem.sorted_levels
         max_sorted = MAX_SORTED_LEVELS if M <= MAX_FLOAT32_LEVELS else MAX_SORTED_LEVELS_FLOAT64
         evaluations, self.same = float(EVALUATIONS.get(n, MAX_EVALUATIONS)), 0.0
         if self.moves.is_curved:
             evaluations *= CURVED_EFFORT
             self.same = SAME_SET * self.moves.interleave
         budget = search.effort * min(evaluations, max_sorted / sorted_at_once)
-        self.budget = max(budget, 20.0 * STARTS) if M <= MAX_DIRECT_LEVELS else budget
+        budget = max(budget, 20.0 * STARTS) if M <= MAX_DIRECT_LEVELS else budget
+        in_time = seconds / self.score.seconds
+        self.budget = min(budget, in_time)
+        self.most_starts = max(2, int(START_SHARE * in_time))
+        self.most_changes = int(STEP_SHARE * in_time)
         p = problem.objective.p
         passes = FINAL_PASSES if p == round(p) else FINAL_PASSES // 4
         final = min(2 * n * passes, max(20.0, MAX_FINAL_LEVELS / sorted_at_once))
         self.finalists: FloatArray = np.empty((0, n))
         self.final_evaluations = int(search.refinement * final)
+        self.most_final = int(FINAL_SHARE * seconds / problem.seconds)
 
     def run(self, known: FloatArray | None = None) -> tuple[float, ...]:
         """Return the best exposures found; `known` (K, n) replaces some of the random starts."""
         starts = [self.moves.even(STARTS), self.moves.starts(7 * STARTS)]
         if known is not None:
             starts = [self.moves.normalised(known), self.moves.around(known, KNOWN_MOVES)[0]]
-        sets = self._within_limit(np.concatenate(starts))
+        sets = self._within_limit(np.concatenate(starts)[: self.most_starts])
         count = STARTS if known is None else len(known) // 2
         sets, scores = _best(sets, self.score(np.exp(sets)), count)
+        self._report()
         moves = MOVES
         end = self.score.evaluations
         for share in STAGE_SHARES:
             end += int(share * self.budget)
             while self.score.evaluations < end and monotonic() < self.deadline:
-                sets, scores = self._improve(sets, scores, moves)
-                if self.progress is not None:
-                    self.progress(min(self.score.evaluations / self.budget, 0.99))
+                most = max(1, self.most_changes // len(sets))
+                sets, scores = self._improve(sets, scores, min(moves, most))
+                self._report()
             sets, scores = _best(sets, scores, max(2, len(sets) // 2), apart=self.same)
             if len(sets) >= FINALISTS or not self.finalists.size:
                 self.finalists = sets[:FINALISTS]
             moves = min(2 * moves, MAX_MOVES)
+        sets = sets[: max(1, self.most_final)]
         finished = sorted((self._finish(row) for row in sets), key=lambda found: found[1])
         best = [np.log(exposures) for exposures, _ in finished]
         self.finalists = np.concatenate([best, self.finalists])
         return finished[0][0]
+
+    def _report(self) -> None:
+        """Report the share of the time that is planned for all scores."""
+        if self.progress is None:
+            return
+        batch, exact = self.score.seconds, self.problem.seconds
+        finals = 2 * min(self.final_evaluations, self.most_final)
+        planned = batch * (self.budget + min(8 * STARTS, self.most_starts)) + exact * finals
+        scored = self.score.evaluations - self.exact_scores
+        self.progress(min((batch * scored + exact * self.exact_scores) / planned, 0.99))
 
     def _improve(
         self, sets: FloatArray, scores: FloatArray, count: int
@@ -385,12 +439,14 @@ class _Search:
     def _finish(self, logs: FloatArray) -> tuple[tuple[float, ...], float]:
         """Coordinate steps of 1e-4 down to 1e-8 in ln e with the exact objective."""
         current, value = logs.copy(), self._exact(logs)
-        step, last = 1e-4, self.score.evaluations + self.final_evaluations
+        step, before = 1e-4, self.score.evaluations
+        last = before + self.final_evaluations
         while step > 1e-8 and self.score.evaluations < last:
             improved = False
             for index in range(1, len(current)):
                 for sign in (1, -1):
-                    if monotonic() > self.deadline:
+                    is_over = self.score.evaluations - before >= self.most_final
+                    if is_over or monotonic() > self.deadline:
                         return tuple(np.exp(current).tolist()), value
                     trial = current.copy()
                     trial[index] += sign * step
@@ -404,6 +460,8 @@ class _Search:
 
     def _exact(self, logs: FloatArray) -> float:
         self.score.evaluations += 1
+        self.exact_scores += 1
+        self._report()
         return self.problem.score(np.exp(logs).tolist())
 
 

@@ -88,6 +88,24 @@ def test_a_knot_inside_a_gap_is_integrated_exactly() -> None:
     assert xi(camera, table, 4) == pytest.approx(expected, rel=1e-14)
 
 
+@pytest.mark.parametrize("gamma", [0.4, 3.0])
+@pytest.mark.parametrize("p", [2.0, 2.5])
+def test_gaps_that_are_narrow_and_wide_are_integrated_alike(p: float, gamma: float) -> None:
+    """A camera of 10 bits has both; the others are the sum of 4,000 midpoints in each gap."""
+    desired, G = desired_response("gamma", 64.0, gamma=gamma), 1500.0
+    levels = linear_response(10).levels
+    edges = np.concatenate([[0.0], levels, [1.0]])
+    low, high = np.maximum(edges[:-1], desired.e_min), edges[1:]
+    kept = high > low
+    low, high, width = low[kept], high[kept], np.diff(edges)[kept]
+    places = (np.arange(4000) + 0.5) / 4000
+    sums = [
+        np.mean(np.maximum(G * desired.slope(a + (b - a) * places) - 1 / w, 0.0) ** p) * (b - a)
+        for a, b, w in zip(low, high, width, strict=True)
+    ]
+    assert xi(levels, desired, G, p=p) == pytest.approx(math.fsum(sums), rel=2e-7)
+
+
 @pytest.mark.parametrize("levels_wanted", [0, -1, 0.5, 2e7, 1e308, math.nan, math.inf])
 def test_number_of_desired_levels_is_limited(levels_wanted: float) -> None:
     camera, desired = EffectiveCamera.of(EIGHT_BIT, (1, 2)), desired_response("log", 256.0)

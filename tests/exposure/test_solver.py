@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,12 @@ from sampling import some
 from camctl.errors import UsageError
 from camctl.exposure import solver
 from camctl.exposure.candidates import BatchScore
-from camctl.exposure.evaluation import evaluate
+from camctl.exposure.evaluation import Evaluation, evaluate
 from camctl.exposure.noise import NoiseTerm
 from camctl.exposure.objective import ExposureProblem, Objective, xi
 from camctl.exposure.solver import SearchOptions, solve
 from camctl.model.effective import EffectiveCamera
-from camctl.model.response.camera import linear_response
+from camctl.model.response.camera import FloatArray, linear_response
 from camctl.model.response.desired import DesiredResponse, desired_response
 from camctl.model.response.measured import measured_response
 from camctl.model.response.tabulated import tabulated_desired
@@ -296,3 +297,55 @@ def test_an_invalid_tolerance_is_refused(
 ) -> None:
     with pytest.raises(UsageError, match=message):
         solve(EIGHT_BIT, LOG, 3, objective=Objective(levels), tolerance=tolerance)
+
+
+@pytest.mark.parametrize(
+    ("p", "jitter", "noise"),
+    [
+        (2.5, 0.2, None),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in ((1.0, 0.0, None), (1.0, 0.2, None), (2.5, 0.0, NoiseTerm(0.1)))
+        ),
+    ],
+)
+@pytest.mark.parametrize("name", ["log", "gamma"])
+def test_the_longest_searches_score_no_more_than_they_have_time_for(
+    name: str, p: float, jitter: float, noise: NoiseTerm | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The scores are numbers that depend on the set, so that the test takes no time for them."""
+    spent: list[float] = []
+
+    def score_sets(batch: BatchScore, exposures: FloatArray) -> FloatArray:
+        batch.evaluations += len(exposures)
+        spent.append(batch.seconds * len(exposures))
+        return np.asarray(np.abs(np.sin(1e6 * exposures.sum(axis=1)))) + 1
+
+    def score(problem: ExposureProblem, exposures: Sequence[float]) -> float:
+        spent.append(problem.seconds)
+        return abs(math.sin(1e6 * sum(exposures))) + 1
+
+    found = Evaluation(1, 1, 1, 1, 1, 1, 1)
+    monkeypatch.setattr(BatchScore, "__call__", score_sets)
+    monkeypatch.setattr(ExposureProblem, "score", score)
+    monkeypatch.setattr(solver, "evaluate", lambda *_, **__: found)
+    objective = Objective(p=p, jitter=jitter, noise=noise)
+    shares: list[float] = []
+    solve(
+        linear_response(16),
+        desired_response(name, 1000.0, **({"gamma": 0.4} if name == "gamma" else {})),
+        16,
+        objective=objective,
+        progress=shares.append,
+    )
+    assert sum(spent) < 1.1 * solver.MOST_SECONDS
+    assert max(spent) <= 0.31 * solver.MOST_SECONDS  # between two reports of the progress
+    assert shares == sorted(shares)
+    assert len(shares) > 10
+
+
+def test_a_search_from_a_coarse_camera_reports_its_progress() -> None:
+    shares: list[float] = []
+    solve(linear_response(11), LOG, 2, search=SearchOptions(effort=0.02), progress=shares.append)
+    assert shares == sorted(shares)
+    assert sum(share < solver.COARSE_SHARE for share in shares) > 3
