@@ -3,6 +3,7 @@
 import runpy
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -35,3 +36,22 @@ def test_man_pages_of_all_commands_are_valid(tmp_path: Path) -> None:
     command = ["groff", "-man", "-Tutf8", "-ww", "-z", *sorted(map(str, tmp_path.glob("*.1")))]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.slow
+def test_the_wheel_installs_the_man_pages(tmp_path: Path) -> None:
+    root, wheels, prefix = DOCS.parent, tmp_path / "wheels", tmp_path / "prefix"
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(wheels)]
+    subprocess.run(build, cwd=root, check=True)
+    (wheel,) = wheels.iterdir()
+    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index"]
+    # What is installed here stays as it is.
+    subprocess.run([*pip, "--ignore-installed", "--prefix", str(prefix), str(wheel)], check=True)
+    runpy.run_path(str(DOCS / "write_man_pages.py"))["main"](tmp_path / "written")
+    written = {path.name: path.read_bytes() for path in (tmp_path / "written").iterdir()}
+    installed = prefix / "share" / "man" / "man1"
+    assert {path.name: path.read_bytes() for path in installed.iterdir()} == written
+    if shutil.which("man") is not None:  # it is part of few containers
+        command = ["man", "-M", str(installed.parent), "camctl-shoot"]
+        shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        assert "Take a picture of high dynamic range" in " ".join(shown.split())

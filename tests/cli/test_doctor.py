@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import tomllib
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from types import SimpleNamespace
@@ -145,3 +146,15 @@ def test_extras_say_how_they_are_installed(monkeypatch: pytest.MonkeyPatch) -> N
     found = {check.name: check for check in doctor.check_extras()}
     assert found["extra raw"].state == "ok"
     assert found["extra plots"].to_do == "pip install 'camctl[plots]'"
+    studies = found["extra studies"]
+    assert (studies.state, "matplotlib and scipy are" in studies.found) == ("missing", True)
+
+
+def test_extras_are_those_of_the_distribution_and_of_the_documentation() -> None:
+    """Of all that pyproject.toml has, developers alone need three."""
+    root = Path(__file__).parents[2]
+    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert {*doctor.EXTRAS} == {*project["optional-dependencies"]} - {"bench", "dev", "docs"}
+    page = (root / "docs" / "how-to" / "install.md").read_text(encoding="utf-8")
+    rows = "".join(f"| `{extra}` | {purpose} |\n" for extra, purpose in doctor.EXTRAS.items())
+    assert f"| extra | for |\n|---|---|\n{rows}\n" in page

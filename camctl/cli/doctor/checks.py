@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import sys
 from collections.abc import Callable, Iterator
-from importlib.metadata import PackageNotFoundError, distribution
+from importlib.metadata import PackageNotFoundError, distribution, requires
 from pathlib import Path
 from typing import Final, Literal
 
@@ -65,18 +66,21 @@ OPENCV: Final = (
     "opencv-python-headless",
     "opencv-python",
 )
-#: Extra of camctl: its distribution, and what it is for.
+#: Extra of camctl that users may want: what it is for, as docs/how-to/install.md has it.
 EXTRAS: Final = {
-    "raw": ("rawpy", "camera raw files"),
-    "gphoto2": ("gphoto2", "the cameras of libgphoto2"),
-    "libcamera": ("picamera2", "cameras of the Raspberry Pi"),
-    "genicam": ("viva-genicam", "machine-vision cameras where Aravis is not installed"),
-    "plots": ("matplotlib", "plots"),
-    "studies": ("scipy", "other methods in camctl tradeoff solver"),
-    "fast": ("numba", "a faster simulated camera"),
-    "bluesky": ("ophyd-async", "a detector for bluesky's RunEngine"),
-    "dask": ("distributed", "studies on a Dask cluster"),
+    "raw": "camera raw files",
+    "tiff": "TIFF files of compressions that OpenCV does not read",
+    "gphoto2": "the cameras of libgphoto2",
+    "libcamera": "cameras of the Raspberry Pi",
+    "genicam": "machine-vision cameras on x86-64 where Aravis is not installed",
+    "plots": "plots: `--plot`, `camctl figures`, `plot` of calibrations",
+    "studies": "the other methods in `camctl tradeoff solver`, and plots",
+    "fast": "a faster simulated camera",
+    "bluesky": "a detector for bluesky's RunEngine",
+    "dask": "studies on a Dask cluster",
 }
+#: A requirement of an extra in the metadata of a distribution: its name and the extra.
+_OF_EXTRA = re.compile(r"""([\w.-]+).*\bextra == ['"]([\w.-]+)['"]""", re.ASCII)
 RULES = Path(UDEV_FILE)
 DEVICES = Path("/dev")
 
@@ -238,18 +242,33 @@ def check_cameras() -> Iterator[Check]:
             yield Check(name=name, state="ok" if ids else "missing", found=ids or "none found")
 
 
+def extra_distributions() -> dict[str, list[str]]:
+    """Return the distributions of each extra, from the metadata of the installed camctl."""
+    found: dict[str, list[str]] = {extra: [] for extra in EXTRAS}
+    for each in requires("camctl") or ():
+        match = _OF_EXTRA.match(each)
+        if match is not None and match[2] in found:
+            found[match[2]].append(match[1])
+    return {extra: names for extra, names in found.items() if names}
+
+
 def check_extras() -> Iterator[Check]:
     """Yield each optional part."""
-    for extra, (name, purpose) in EXTRAS.items():
-        if (version := _version(name)) is None:
+    for extra, names in extra_distributions().items():
+        versions = {name: _version(name) for name in names}
+        there = ", ".join(f"{name} {version}" for name, version in versions.items() if version)
+        gone = [name for name, version in versions.items() if version is None]
+        purpose = EXTRAS[extra].replace("`", "")
+        if gone:
+            are = "are" if len(gone) > 1 else "is"
             yield Check(
                 name=f"extra {extra}",
                 state="missing",
-                found=f"{name} is not installed: {purpose}",
+                found=f"{' and '.join(gone)} {are} not installed: {purpose}",
                 to_do=f"pip install 'camctl[{extra}]'",
             )
         else:
-            yield Check(name=f"extra {extra}", state="ok", found=f"{name} {version}: {purpose}")
+            yield Check(name=f"extra {extra}", state="ok", found=f"{there}: {purpose}")
 
 
 CHECKS: Final[tuple[Callable[[], Check], ...]] = (
