@@ -168,7 +168,7 @@ def main() -> None:
     for columns, rows, across in ((16, 2, 5), (20, 4, 5), (60, 16, 2)):
         pictures = [text_picture(grid(each, columns, rows).lines) for each in screens]
         (FOLDER / f"text-{columns}x{rows}.png").write_bytes(sheet(pictures, across))
-    for columns, rows, across in ((240, 240, 5), (480, 320, 3)):
+    for columns, rows, across in ((128, 64, 6), (240, 240, 5), (480, 320, 3)):
         pictures = [draw(each, columns, rows).pixels for each in screens]
         (FOLDER / f"picture-{columns}x{rows}.png").write_bytes(sheet(pictures, across))
 

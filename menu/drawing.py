@@ -1,4 +1,4 @@
-"""A screen as a picture, in the manner of the paper's figure 4(b), for panels from 240 x 240 up."""
+"""A screen as a picture, in the manner of the paper's figure 4(b); characters where it is small."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.menu.data import Picture
-from camctl.menu.layout import arranged, best, binned, button_texts, hidden_buttons_mark
+from camctl.menu.layout import arranged, best, binned, button_texts, grid, hidden_buttons_mark
 from camctl.menu.ports import Mood, Screen
+from camctl.menu.small_drawing import CELL, characters
 from camctl.menu.text import fit, wrap
 from camctl.system.characters import coverage
 
 Pixels: TypeAlias = NDArray[np.uint8]
 """(rows, columns, 3), R, G, B."""
 
-SMALLEST = (240, 240)
-"""(columns, rows) of the smallest picture, pixels."""
+_SMALLEST_PICTURE = (240, 240)
+"""(columns, rows) from which a screen is drawn as a picture, pixels."""
 
 _LINE_HEIGHTS = (20, 28, 40)  # pixels, of `camctl.system.characters.HEIGHTS`
 _LEAST_COLUMNS, _LEAST_ROWS = 24, 10
@@ -121,7 +122,13 @@ class _Canvas:
 
 
 def draw(screen: Screen, columns: int, rows: int) -> Drawing:
-    """Return a screen as a picture of `columns` x `rows` pixels; it is black for a screen saver."""
+    """Return a screen as a picture of `columns` x `rows` pixels; it is black for a screen saver.
+
+    Below 240 x 240 pixels it is text of 6 x 8 pixels a character.
+    """
+    if columns < _SMALLEST_PICTURE[0] or rows < _SMALLEST_PICTURE[1]:
+        shown = grid(screen, columns // CELL[0], rows // CELL[1])
+        return Drawing(characters(shown, columns, rows), shown.last_offset)
     canvas = _Canvas(columns, rows)
     if screen.is_dark:
         canvas.pixels[:] = 0

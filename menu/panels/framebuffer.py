@@ -13,10 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import CamctlError, UsageError
-from camctl.interface.clock import Clock, RealClock
-from camctl.menu.drawing import SMALLEST, Pixels, draw
+from camctl.interface.clock import Clock
+from camctl.menu.drawing import Pixels, draw
+from camctl.menu.panels.address import parse_address
 from camctl.menu.panels.input_keys import InputKeys
-from camctl.menu.ports import Key, Line, Mood, PanelDisconnectedError, Screen
+from camctl.menu.panels.keyed import KEY_OPTIONS, KeyedPanel, keys_of
+from camctl.menu.ports import PanelDisconnectedError, Screen
+from camctl.menu.small_drawing import SMALLEST
 from camctl.system.interrupts import uninterrupted
 
 _VARIABLE, _FIXED = 0x4600, 0x4602
@@ -79,23 +82,22 @@ class FrameBufferFormat:
         return whole[..., : self.bits // 8].reshape(pixels.shape[0], -1)
 
 
-class FramebufferPanel:
+class FramebufferPanel(KeyedPanel):
     """A display that the kernel offers as a frame buffer; a context manager.
 
     Args:
-        address: the device, and after a comma a pattern of its input devices:
-            ``/dev/fb0,/dev/input/event*``
+        address: the device, and after a comma a pattern of its input devices, as
+            ``/dev/fb0,/dev/input/event*``, or the options of `camctl.menu.panels.keyed`
         clock: the clock in which input devices are looked for
     """
 
     def __init__(self, address: str = "/dev/fb0", *, clock: Clock | None = None) -> None:
-        self._path, _, pattern = address.partition(",")
-        self._keys = InputKeys(pattern) if pattern else InputKeys()
-        self._clock = clock or RealClock()
+        parsed = parse_address(address, KEY_OPTIONS)
+        self._path, *pattern = parsed.words
+        super().__init__(InputKeys(pattern[0]) if pattern else keys_of(parsed), clock)
         self._memory: mmap.mmap | None = None
         self._before = b""
         self._format: FrameBufferFormat | None = None
-        self._shown: Screen | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -171,25 +173,10 @@ class FramebufferPanel:
             raise PanelDisconnectedError(f"{self._path} is not open", hint="open it first")
         return self._memory, self._format
 
-    def show(self, screen: Screen) -> int:
-        """Draw `screen`; return the last offset.
-
-        Where no input device can be opened, that is shown in its place: no key could leave it.
-        """
+    def _draw(self, screen: Screen) -> int:
         memory, found = self._opened
-        self._shown = screen
-        if self._keys.problem and not self._keys.is_open:
-            text = (self._keys.problem,)
-            screen = Screen(Line(("No keys",)), paragraphs=text, mood=Mood.ERROR)
         drawing = draw(screen, found.columns, found.rows)
         encoded = found.encoded(drawing.pixels)
         lines = np.frombuffer(memory, np.uint8, found.rows * found.line_bytes, found.first_byte)
         lines.reshape(found.rows, found.line_bytes)[:, : encoded.shape[1]] = encoded
         return drawing.last_offset
-
-    def key(self, timeout_s: float) -> Key | None:
-        before = self._keys.problem, self._keys.is_open
-        key = self._keys.key(timeout_s, self._clock.now())
-        if self._shown is not None and before != (self._keys.problem, self._keys.is_open):
-            self.show(self._shown)
-        return key

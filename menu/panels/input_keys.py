@@ -11,7 +11,7 @@ import select
 import struct
 from contextlib import suppress
 
-from camctl.menu.ports import Key
+from camctl.menu.ports import Key, Screen
 
 _EVENT = struct.Struct("@llHHi")
 """Seconds and microseconds, type, code, value; 24 bytes on 64-bit systems."""
@@ -58,6 +58,9 @@ class InputKeys:
         """Whether there is a device that keys can come from."""
         return bool(self._open)
 
+    def shows(self, screen: Screen) -> None:
+        """Do nothing: a device has a key for each of the menu's."""
+
     def close(self) -> None:
         for descriptor in self._open.values():
             os.close(descriptor)
@@ -66,13 +69,18 @@ class InputKeys:
         self._next_look_s = float("-inf")
 
     def key(self, timeout_s: float, now_s: float) -> Key | None:
-        """Return the next key; None after `timeout_s`; `now_s` is the time, s."""
+        """Return the next key; None after `timeout_s`, or at once where no device is open.
+
+        `now_s` is the time, s.
+        """
         if now_s >= self._next_look_s:
             self._look()
             self._next_look_s = now_s + _LOOK_S
         for descriptor in self._open.values():
             if (key := self._parsed(descriptor)) is not None:
                 return key
+        if not self._open:
+            return None
         ready, _, _ = select.select(list(self._open.values()), [], [], timeout_s)
         for descriptor in ready:
             self._read(descriptor)

@@ -67,15 +67,13 @@ def ask(words: str) -> None:
     print(words, flush=True)
 
 
-def take_picture(name: str, panel: Watched) -> None:
-    """Let the host take a picture, and write what it should show."""
+def take_picture(name: str, screen: Screen, size: tuple[int, int]) -> None:
+    """Let the host take a picture, and compare it with what the display should show."""
+    np.save(OUT / f"{name}.npy", draw(screen, *size).pixels)
     time.sleep(SETTLED_S)
-    with panel.changed:  # nothing is drawn meanwhile
-        np.save(OUT / f"{name}.npy", draw(panel.last, *panel.size).pixels)
-        time.sleep(SETTLED_S)
-        ask(f"picture {name}")
-        while not (OUT / f"{name}.done").exists():
-            time.sleep(0.2)
+    ask(f"picture {name}")
+    while not (OUT / f"{name}.done").exists():
+        time.sleep(0.2)
 
 
 def main() -> int:
@@ -98,7 +96,9 @@ def main() -> int:
         panel.wait_for(title, before if key else 0)
         for name, wanted in PICTURES.items():
             if step == wanted:
-                take_picture(name.split()[0].lower(), panel)
+                time.sleep(SETTLED_S)
+                with panel.changed:  # nothing is drawn meanwhile
+                    take_picture(name.split()[0].lower(), panel.last, panel.size)
     ask("press right")
     time.sleep(SETTLED_S)
     ask("press ret")

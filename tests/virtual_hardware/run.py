@@ -1,12 +1,13 @@
 """Test all backends against the kernel's own drivers, in virtual machines.
 
     .venv/bin/python tests/virtual_hardware/run.py [-k EXPRESSION] [--backend NAME] [--bench]
-    .venv/bin/python tests/virtual_hardware/run.py --guest display [--keep FOLDER]
+    .venv/bin/python tests/virtual_hardware/run.py --guest display|panels [--keep FOLDER]
 
 Two guests run side by side, each with its part of the tests.  A line for each test shows the
 elapsed time, the guest, the outcome and how long the test took by the guest's own clock.  The last
 line is "virtual hardware: N passed, M failed, S s".  With --guest display the
-menu runs on the display of one guest, which is not part of a run without it.  Where no guest can
+menu runs on the display of one guest, with --guest panels the panels for boards are shown there;
+neither is part of a run without it.  Where no guest can
 run it is "virtual hardware
 skipped: REASON; what to install", with status 0, or with 77 after --must-run.
 """
@@ -39,7 +40,7 @@ BENCHES = ("bench_discovery.py", "bench_v4l2.py", "bench_v4l2_cpu.py", "bench_pt
 # Two guests, and the files in guest/ that the first one runs: so both take about as long.
 GUESTS = ("first", "second")
 FIRST_FILES = ("test_gphoto2_client.py", "test_same_picture.py", "test_v4l2_backend.py")
-DISPLAY = "display"
+DISPLAYS = {"display": "display_in_guest.py", "panels": "panels_in_guest.py"}
 BACKENDS = ("v4l2", "ptp", "coolpix", "gphoto2")
 # Limits that only catch what hangs: of a guest in the host's time, of a test in the guest's.
 LIMIT_S = 2200.0
@@ -82,8 +83,8 @@ def main() -> int:
     if arguments.command or arguments.bench:
         guest = Guest("guest", kernel, arguments.limit, began)
         return guest.run(arguments.command or _benches(), lambda text: print(text, flush=True))
-    if arguments.guest == DISPLAY:
-        return _display(Guest(DISPLAY, kernel, arguments.limit, began), arguments.keep)
+    if arguments.guest:
+        return _display(Guest(arguments.guest, kernel, arguments.limit, began), arguments.keep)
     guests = [Guest(name, kernel, arguments.limit, began) for name in GUESTS]
     with ThreadPoolExecutor(len(guests)) as pool:
         list(pool.map(lambda guest: guest.test(_tests(arguments, guest.name)), guests))
@@ -189,20 +190,20 @@ class Guest:
 
 
 def _display(guest: Guest, keep: Path | None) -> int:
-    """Run the menu on the display of a guest, and compare pictures of it; return the status."""
-    out = Path(tempfile.mkdtemp(prefix="virtual-hardware-display-"))
+    """Run a program on the display of a guest, and compare pictures of it; return the status."""
+    out = Path(tempfile.mkdtemp(prefix=f"virtual-hardware-{guest.name}-"))
     watched = display.Display(out)
 
     def on_line(line: str) -> None:
         if not watched.obey(line):
             print(line, flush=True)
 
-    command = [sys.executable, str(HERE / "display_in_guest.py")]
+    command = [sys.executable, str(HERE / DISPLAYS[guest.name])]
     status = guest.run(command, on_line, out, display.devices(out), keep)
     for line in watched.wrong:
         print(line)
     passed = not status and not watched.wrong and bool(watched.compared)
-    print(f"display: {len(watched.compared)} pictures, {'as drawn' if passed else 'FAILED'}")
+    print(f"{guest.name}: {len(watched.compared)} pictures, {'as drawn' if passed else 'FAILED'}")
     return 0 if passed else 1
 
 
@@ -210,7 +211,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description="Test all backends in virtual machines.")
     parser.add_argument("-k", metavar="EXPRESSION", help="only tests that pytest's -k selects")
     parser.add_argument("--backend", choices=BACKENDS, help="only this backend's tests")
-    parser.add_argument("--guest", choices=[DISPLAY], help="only this guest, with its own test")
+    parser.add_argument("--guest", choices=DISPLAYS, help="only this guest, with its own test")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the display's pictures")
     parser.add_argument("--bench", action="store_true", help="run the benchmarks instead")
     parser.add_argument("--must-run", action="store_true", help=f"status {SKIPPED} when skipped")

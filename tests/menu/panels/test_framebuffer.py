@@ -91,7 +91,7 @@ def test_screen_is_drawn_in_the_format_of_the_display(
 @pytest.mark.parametrize(
     ("variable", "message"),
     [
-        (variable_info(128, 64, 16, RGB565), "has only 128 x 64 pixels; the menu needs 240 x 240"),
+        (variable_info(84, 48, 16, RGB565), "has only 84 x 48 pixels; the menu needs 96 x 16"),
         (variable_info(320, 240, 8, ((0, 8), (0, 8), (0, 8))), "has 8 bits a pixel"),
         (variable_info(320, 240, 16, ((11, 5), (5, 6), (0, 0))), "cannot draw"),
     ],

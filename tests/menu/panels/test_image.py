@@ -41,7 +41,7 @@ def test_menu_runs_on_a_list_of_keys(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("address", "message"),
-    [("", "invalid address"), ("x,10x10", "10 x 10 pixels is too small for the menu; use 240x240")],
+    [("", "invalid address"), ("x,10x10", "10 x 10 pixels is too small for the menu; use 96x16")],
 )
 def test_address_that_cannot_be_used_is_refused(address: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
