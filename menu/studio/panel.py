@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Self
 
+from camctl.menu.studio.merging import remove_sets
 from camctl.menu.studio.server import PAGE, StudioHandler
 from camctl.menu.studio.studio import Studio
 from camctl.system.interrupts import uninterrupted
@@ -34,6 +35,7 @@ class StudioPanel(Studio):
 
     def __enter__(self) -> Self:
         """Start the server and return the panel; raises `UsageError` where it cannot listen."""
+        remove_sets(self.parent)  # of a studio that was killed
         self._open("the studio", StudioHandler, studio=self)
         return self
 
@@ -42,3 +44,4 @@ class StudioPanel(Studio):
         """Stop the server."""
         self.sight.end()
         super().__exit__()
+        remove_sets(self.parent)

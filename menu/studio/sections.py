@@ -6,7 +6,7 @@ To add one: a line in `SECTIONS`, its routes in a module beside this one, and ``
 from __future__ import annotations
 
 from camctl.menu.model import State
-from camctl.menu.studio import captures, choices, live
+from camctl.menu.studio import captures, choices, live, merging
 from camctl.menu.studio.section import Section
 
 SECTIONS = (
@@ -65,6 +65,11 @@ SECTIONS = (
             "layer": captures.layer,
         },
         post={"delete": captures.delete},
+    ),
+    Section(
+        "merge",
+        "Merge",
+        post={"begin": merging.begin, "file": merging.file, "merge": merging.merge},
     ),
     Section(
         "settings",

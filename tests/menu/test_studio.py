@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bracketed_photographs import film, photograph, save
 from panel_fakes import FakeJob
 from ptp_bench import bench
 from site_client import ask_site
 from studio_menu import MakeJob, job_with, start_menu
 
+from camctl import read_report
 from camctl.exposure.light import Metering
 from camctl.interface.camera import Camera
 from camctl.interface.controls import Layout
@@ -212,3 +214,55 @@ def test_metering_frame_is_kept_with_its_saturated_samples() -> None:
     np.testing.assert_array_equal(view.codes == 255, saturated)
     assert sum(view.facts["histogram"]) == pytest.approx(1.0)
     assert view.facts["clipped"] == pytest.approx(saturated.mean(), abs=0.02)
+
+
+def test_photographs_that_are_sent_become_a_capture(start: Start, tmp_path: Path) -> None:
+    client = start(lambda _: FakeJob())
+    client.until("idle")
+    names = []
+    taken = json.loads(client.ask("merge/begin", {})[1])["set"]
+    for place, time_s in enumerate((1 / 60, 1 / 15, 1 / 4)):
+        path = save(tmp_path / f"photograph{place}.png", film(photograph(time_s)))
+        names.append(path.name)
+        address = f"{client.url}merge/file/{taken}/{path.name}"
+        headers = {"X-Camctl": "1"}
+        assert ask_site(address, body=path.read_bytes(), headers=headers)[0] == 200
+        assert ask_site(address, body=path.read_bytes(), headers=headers)[0] == 409
+    wrong: list[dict[str, object]] = [
+        {"times": "1/60, 0"},
+        {"times": "1/0"},
+        {"response": "x"},
+        {"files": []},
+    ]
+    for each in wrong:
+        asked = {"files": names, "times": "", "response": "log", **each}
+        assert client.ask(f"merge/merge/{taken}", asked)[0] == 400
+    asked = {"files": names, "times": "1/60 1/15 1/4", "response": "linear"}
+    status, content = client.ask(f"merge/merge/{taken}", asked)
+    assert status == 200, content
+    report = read_report(tmp_path / json.loads(content)["capture"])
+    assert report.request.response == "linear"
+    assert len(report.frames) == 3
+    assert client.ask(f"merge/merge/{taken}", asked)[0] == 404  # it is done
+    assert not list(tmp_path.glob(".photographs-*"))
+
+
+@pytest.mark.parametrize("name", ["../x.png", ".x", "a%2fb.png", "%00.png", ""])
+def test_photographs_have_plain_names(start: Start, name: str) -> None:
+    client = start(lambda _: FakeJob())
+    client.until("idle")
+    taken = json.loads(client.ask("merge/begin", {})[1])["set"]
+    assert client.ask(f"merge/file/{taken}/{name}", 0)[0] == 400
+
+
+def test_what_is_no_photograph_is_said_by_its_name(start: Start, tmp_path: Path) -> None:
+    client = start(lambda _: FakeJob())
+    client.until("idle")
+    taken = json.loads(client.ask("merge/begin", {})[1])["set"]
+    assert client.ask(f"merge/file/{taken}/hosts.txt", "127.0.0.1")[0] == 200
+    status, content = client.ask(
+        f"merge/merge/{taken}", {"files": ["hosts.txt"], "times": "1", "response": "log"}
+    )
+    assert status == 422
+    assert b"hosts.txt" in content
+    assert str(tmp_path).encode() not in content

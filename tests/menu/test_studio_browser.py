@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from bracketed_photographs import film, photograph, save
 from panel_fakes import FakeJob
 from ptp_bench import bench
 from studio_menu import MakeJob, job_with, start_menu
@@ -190,3 +191,21 @@ def test_all_text_has_the_contrast_that_wcag_asks_for(show: Show) -> None:
         assert [each for each in found if each[0] < LEAST_CONTRAST] == []
         page.click(leave)
         page.wait_for_selector(arrived)
+
+
+def test_photographs_that_are_dropped_are_merged_and_opened(show: Show, tmp_path: Path) -> None:
+    page = show(job_with(simulated))
+    page.wait_for_selector("[data-action=shoot]")
+    page.click("[data-section=merge]")
+    times = (1 / 60, 1 / 15, 1 / 4)
+    names = [
+        str(save(tmp_path / f"photograph{place}.png", film(photograph(time_s))))
+        for place, time_s in enumerate(times)
+    ]
+    page.fill("#times", "1/60, 1/15, 1/4")
+    page.set_input_files("#photographs", names)
+    page.wait_for_selector(".picture")
+    page.click("[data-section=merge]")
+    page.wait_for_selector("#photographs")
+    page.click("[data-section=settings]")
+    page.wait_for_selector("text=Press an entry to change it.")

@@ -1,11 +1,18 @@
 /* The library, and one capture: picture, layers, light under the pointer, files, findings. */
-import {choose, command, details, get, h, levels, note, percent, post, renew} from "./studio.js";
+import {choose, command, details, get, h, leave, levels, note, percent, post, renew} from "./studio.js";
 import {buttons, words} from "./screen.js";
 
-let root, shown = "", armed = "";
+let root, shown = "", armed = "", wanted = "";
 const encode = name => name.split("/").map(encodeURIComponent).join("/");
 const bytes = size => size >= 999500 ? (size / 1e6).toPrecision(3) + " MB"
   : Math.round(size / 1e3) + " kB";
+
+/* Open a capture once the library lists it. */
+export function openCapture(name) {
+  wanted = name;
+  leave();
+  command({state: "browsing"});
+}
 
 function library(state) {
   return [
@@ -135,6 +142,12 @@ export default {
     if (here === shown && root.isConnected) { return; }
     shown = here;
     armed = "";
+    const place = state.state === "captures"
+      ? state.captures.findIndex(each => each.name === wanted) : -1;
+    if (place >= 0) {
+      wanted = "";
+      choose({index: place, take: true});
+    }
     root.classList.toggle("one", Boolean(isResult));
     renew(root, isResult ? result(state, name)
       : state.state === "captures" ? library(state) : h("div", {class: "card"}, words(state)));

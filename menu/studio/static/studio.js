@@ -10,7 +10,7 @@ menu/studio/sections.py. */
 
 const find = id => document.getElementById(id);
 const loaded = {};
-let wanted = location.hash.slice(1);
+let wanted = location.hash.slice(1), isLeft = false;
 
 /* Elements: h("p", {class: "pale", onclick: f}, "text", child, ...) */
 export function h(name, attributes, ...children) {
@@ -115,9 +115,16 @@ function openSection(name) {
   const section = studio.state.sections.find(each => each.name === name);
   if (!section) { return; }
   if (section.states.length && !section.states.includes(studio.state.state)) {
+    leave();
     command({state: section.states[0]});
-  } else { display(name); }
+  } else {
+    find("title").textContent = section.states.length ? studio.state.title : section.title;
+    display(name);
+  }
 }
+
+/* Leave a section without states for one that the menu leads to. */
+export function leave() { isLeft = true; }
 
 function showBar(state) {
   if (find("bar").childElementCount) { return; }
@@ -129,7 +136,6 @@ function showBar(state) {
 async function show(state) {
   studio.state = state;
   showBar(state);
-  find("title").textContent = state.title;
   find("camera").textContent = state.camera ? state.camera.name : "";
   const {free_bytes: free = 0, battery_percent: battery, free_images: images} = state.reading || {};
   find("facts").textContent = [
@@ -141,7 +147,9 @@ async function show(state) {
   const open = state.sections.find(each => each.name === (studio.section || wanted));
   wanted = "";
   // A section without states stays open while the menu goes on.
-  const stays = open && !open.states.length;
+  const stays = open && !open.states.length && !isLeft;
+  isLeft = false;
+  find("title").textContent = stays ? open.title : state.title;
   await display(stays ? open.name : own ? own.name : "live");
 }
 
