@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import click
@@ -154,6 +155,7 @@ def test_every_public_name_is_in_the_api_reference() -> None:
                 "how-to/calibration.md",
                 "how-to/vision.md",
                 "how-to/live.md",
+                "how-to/adapters.md",
             )
         ),
     ],
@@ -163,6 +165,8 @@ def test_a_python_example_runs(
 ) -> None:
     examples = blocks(ROOT / "docs" / page, "python")
     assert examples
+    if page == "how-to/adapters.md" and find_spec("ophyd_async") is None:
+        pytest.skip("ophyd-async is not installed")
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
     for example in examples:
@@ -177,8 +181,18 @@ _FILES = {
     "mine.txt": (_IRRADIANCE[1:], _IRRADIANCE[1:] ** 0.45),
     "times.txt": (2.0 ** (np.arange(-39, 16) / 3),),
 }
-#: "http" ends with Ctrl-C.
-_NEEDS_A_DEVICE = ("v4l2:", "ptp", "coolpix:", "menu", "studio", "calibrate", "--resume", "http")
+#: "http" and "alpaca" end with Ctrl-C.
+_NEEDS_A_DEVICE = (
+    "v4l2:",
+    "ptp",
+    "coolpix:",
+    "menu",
+    "studio",
+    "calibrate",
+    "--resume",
+    "http",
+    "alpaca",
+)
 
 
 #: The page that each command is run for: a study that two pages name takes long enough once.

@@ -33,6 +33,7 @@ COMMANDS = (
     "series",
     "preview",
     "live",
+    "alpaca",
     "resume",
     "merge",
     "menu",

@@ -102,7 +102,7 @@ def live(
         raise UsageError("--json cannot be combined with --output -", hint="leave one of them out")
     wanted = request.request()
     with ExitStack() as resources:
-        opened = resources.enter_context(_in_real_time(camera).open())
+        opened = resources.enter_context(camera.in_real_time().open())
         # Files are complete; who looks wants the newest.
         policy: Any = "all" if any(each.startswith("exr:") for each in outputs) else "latest"
         results = begin(opened, wanted, fps=fps, policy=policy, reuse=True)
@@ -128,16 +128,6 @@ def live(
             print_json(run.json())
         elif not is_piped:
             print_text(run.text())
-
-
-def _in_real_time(camera: CameraOptions) -> CameraOptions:
-    """Return the options of the camera; the simulated one waits, as others do."""
-    from dataclasses import replace
-
-    named = camera.camera_options()
-    if camera.camera_id.partition(":")[0] != "sim" or "time" in named:
-        return camera
-    return replace(camera, camera_settings=(*camera.camera_settings, ("time", "real")))
 
 
 def _output(text: str, results: Live, *, look: bool, every: int) -> Output:

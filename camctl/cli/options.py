@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -255,6 +255,13 @@ class CameraOptions:
         from camctl.profiles.calibrated import open_camera
 
         return open_camera(self.camera_id, {"profile": profile, **self.camera_options()})
+
+    def in_real_time(self) -> CameraOptions:
+        """Return these options with a simulated camera that waits, as others do."""
+        is_simulated = self.camera_id.partition(":")[0] == "sim"
+        if not is_simulated or "time" in self.camera_options():
+            return self
+        return replace(self, camera_settings=(*self.camera_settings, ("time", "real")))
 
     def unused_faults(self, camera: Camera) -> str | None:
         """Return which of the faults asked for did not happen, if there are any."""

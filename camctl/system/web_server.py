@@ -93,6 +93,7 @@ class Site:
         page: the page whose scripts and styles may run; others may not
         has_files: scripts and styles that the server sends as files may run, too, and scripts may
             make pictures
+        is_open: whoever reaches it may use it: its protocol has no tokens
 
     Raises:
         UsageError: an invalid address, or a host that others reach without a token
@@ -105,6 +106,7 @@ class Site:
     what: str
     page: bytes
     has_files: bool = False
+    is_open: bool = False
     host: str = field(init=False)
     port: int = field(init=False)
     headers: dict[str, str] = field(init=False)
@@ -119,7 +121,7 @@ class Site:
                 hint=f"use {self.name}8080 or {self.name}HOST:8080",
             )
         self.host, self.port = (found["host"] or "127.0.0.1").strip("[]"), int(found["port"])
-        if not self.token and not is_loopback(self.host):
+        if not (self.token or self.is_open or is_loopback(self.host)):
             raise UsageError(
                 f"{self.what} on {self.host} could be used by anybody",
                 hint=f"set a token in {self.variable}, or leave the host out",
@@ -132,8 +134,12 @@ class Site:
     def url(self) -> str:
         """The address of the page."""
         host = f"[{self.host}]" if ":" in self.host else self.host
-        port = self.port if self._server is None else self._server.server_address[1]
-        return f"http://{host}:{port}/"
+        return f"http://{host}:{self.served_port}/"
+
+    @property
+    def served_port(self) -> int:
+        """The port that is listened on, also where 0 was asked for."""
+        return self.port if self._server is None else int(self._server.server_address[1])
 
     @property
     def shown_url(self) -> str:
@@ -180,6 +186,15 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
+
+
+def _own_names(host: str) -> tuple[str, ...]:
+    """Return the names by which others may ask for this computer: no other site has them."""
+    name = socket.gethostname()
+    with suppress(ValueError):
+        ipaddress.ip_address(host)
+        return (host,)
+    return name, f"{name}.local"
 
 
 def _headers(page: bytes, *, has_files: bool) -> dict[str, str]:
@@ -239,7 +254,7 @@ class SiteHandler(BaseHTTPRequestHandler):
             )
             return False
         # A name that another site made point here would let its pages read the screen.
-        if is_loopback(host):
+        if is_loopback(host) or (site.is_open and host in (site.host, *_own_names(host))):
             return True
         self.refuse(HTTPStatus.FORBIDDEN, "open the page by the address 127.0.0.1")
         return False

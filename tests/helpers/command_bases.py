@@ -16,6 +16,7 @@ BASES = {
     ),
     "series": ("--scene uniform -O size=9x7 --base 0.01 -n 1 --repeat 1",),
     "live": ("--scene uniform -O size=9x7 --base 0.01 -n 1 --count 1 --output exr:live",),
+    "alpaca": ("--scene uniform -O size=16x12 --address nowhere",),
     "preview": ("--scene uniform -O size=16x12 -n 1 -o p.png --force",),
     "resume": ("nothing",),
     "merge": ("p0.png p1.png p2.png --times 1/8,1/2,2 --curve power:2.222 -o out --force",),
