@@ -20,10 +20,10 @@ from camctl.interface.camera import CameraBase, CameraInfo, Frame, MeasuredDelay
 from camctl.interface.clock import Clock, VirtualClock
 from camctl.interface.controls import ExposureControls, ExposureSetting, ResponseOrigin
 from camctl.profiles.profile import load_profile
+from camctl.sim.damage import damaged
 from camctl.sim.effects.budget import FramePlan
 from camctl.sim.effects.record import Shot as RenderedShot
 from camctl.sim.faults import Faults as Faults
-from camctl.sim.faults import corrupted
 from camctl.sim.render import Comparison, Renderer
 from camctl.sim.scenes.scene import Scene
 from camctl.sim.scenes.view import View, photons_per_unit
@@ -267,8 +267,8 @@ class SimulatedCamera(CameraBase):
         frame = self._frame(shot, requested, light=light)
         if number in faults.repeated_frames and self._before is not None:
             frame = replace(frame, pixels=self._before)
-        if number in faults.corrupt_frames:
-            frame = replace(frame, pixels=corrupted(frame.pixels, number, frame.white))
+        for kind in faults.damages(number):
+            frame = replace(frame, pixels=damaged(frame.pixels, kind, number, frame.white))
         if faults.repeated_frames:
             self._before = frame.pixels
         return frame
@@ -287,6 +287,7 @@ class SimulatedCamera(CameraBase):
             black=self.controls.black,
             white=self.controls.white,
             details={"simulation": self._plan.summary()},
+            lost=shot.lost,
         )
 
     def _measure_readout(self, readout_s: float) -> None:

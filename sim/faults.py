@@ -6,10 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-import numpy as np
-
 from camctl.errors import UsageError, unknown_name
-from camctl.interface.camera import Pixels
 
 
 @dataclass(frozen=True)
@@ -29,6 +26,11 @@ class Faults:
         dropped_frames: before these frames the stream loses one, and its number is missing
         repeated_frames: these frames have the pixels of the frame before
         corrupt_frames: the lower half of these frames is random
+        truncated_frames: these frames end within a line, and are 0 from there on
+        shifted_frames: these frames lack a part of a line, and what follows is shifted
+        doubled_frames: these frames have some lines twice, and lack the last ones
+        green_frames: packets of these frames are lost: green blocks, black ones in a grey frame
+        broken_jpegs: these frames were sent as JPEG files with a wrong byte
         delayed_frames: frame number to the seconds that it arrives late
         clock_jumps: frame number to the seconds by which the camera's clock is changed before it
         longest_exposure_s: longer exposures last only so long, which the camera does not report
@@ -43,6 +45,11 @@ class Faults:
     dropped_frames: Sequence[int] = ()
     repeated_frames: Sequence[int] = ()
     corrupt_frames: Sequence[int] = ()
+    truncated_frames: Sequence[int] = ()
+    shifted_frames: Sequence[int] = ()
+    doubled_frames: Sequence[int] = ()
+    green_frames: Sequence[int] = ()
+    broken_jpegs: Sequence[int] = ()
     delayed_frames: Mapping[int, float] = field(default_factory=dict)
     clock_jumps: Mapping[int, float] = field(default_factory=dict)
     longest_exposure_s: float | None = None
@@ -58,6 +65,10 @@ class Faults:
             light *= min(1.0, self.longest_exposure_s / time_s)
         return light
 
+    def damages(self, number: int) -> list[str]:
+        """Return the kinds of damage, of `camctl.sim.damage.DAMAGES`, that a frame has."""
+        return [kind for kind, key in _DAMAGED.items() if number in getattr(self, key)]
+
     def unused(self, frames: int) -> list[str]:
         """Return the faults of frames that a camera did not come to, as the text has them.
 
@@ -72,11 +83,15 @@ class Faults:
 
 
 _AFTER = {"unplug": "unplug_after", "freeze": "freeze_after"}
-_LISTED = {
-    "drop": "dropped_frames",
-    "repeat": "repeated_frames",
+_DAMAGED = {
     "corrupt": "corrupt_frames",
+    "truncate": "truncated_frames",
+    "shift": "shifted_frames",
+    "double": "doubled_frames",
+    "green": "green_frames",
+    "jpeg": "broken_jpegs",
 }
+_LISTED = {"drop": "dropped_frames", "repeat": "repeated_frames", **_DAMAGED}
 _BY_FRAME = {"wrong": "wrong_exposure", "late": "delayed_frames", "jump": "clock_jumps"}
 _EVERYWHERE: dict[str, tuple[str, type[int] | type[float]]] = {
     "busy": ("busy_calls", int),
@@ -144,12 +159,3 @@ def _finite(text: str) -> float:
     if not abs(value) <= 1e9:
         raise ValueError
     return value
-
-
-def corrupted(pixels: Pixels, number: int, white: int) -> Pixels:
-    """Return a frame whose lower half is random up to white, the same for one frame number."""
-    half = pixels.copy()
-    rest = half[half.shape[0] // 2 :]
-    random = np.random.Generator(np.random.PCG64(number))
-    rest[...] = random.integers(0, white, rest.shape, half.dtype, endpoint=True)
-    return half

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.captures.true_exposures import choose_exposures, estimate_exposures
-from camctl.captures.verdict import judge, suspects
+from camctl.captures.verdict import judge, suspected, suspects
 from camctl.evidence.damage import damaged_share
 from camctl.evidence.delay import DelayError, ShotLog
 from camctl.evidence.light_ratio import MOST_CHANGE, NeighbourCheck
-from camctl.evidence.patches import Patches
+from camctl.evidence.patches import Patches, patch_places
+from camctl.evidence.raster_damage import wrong_lines
 from camctl.evidence.ratio_check import RatioCheck
 from camctl.evidence.residual import Pair, Side
 from camctl.findings import Finding
@@ -85,8 +86,9 @@ class FrameChecks:
             return []
         checks = [frame.ratio for frame in self._frames]
         self._log.find(checks)
-        # What is wrong with the exposure of a damaged frame, and of those beside it, is not known.
-        wrong = self._damaged() or suspects(checks)
+        # What is wrong with the exposure of a damaged frame, and of those beside it, is not known;
+        # of a wrong exposure only the brighter lines may contradict the other frames.
+        wrong = self._damaged() or suspects(checks) or self._with_wrong_lines()
         return [k for k in wrong if self._frame(k).attempts == 1]
 
     def delay_error(self) -> DelayError | None:
@@ -189,6 +191,29 @@ class FrameChecks:
                 beside = [*samples[max(position - 1, 0) : position], *samples[position + 1 :][:1]]
                 self._damage[position] = damaged_share(each, beside, codes)
         return {place: share for place, share in sorted(self._damage.items()) if share}
+
+    def _with_wrong_lines(self) -> list[int]:
+        """Return the positions of frames some lines of which were probably lost or shifted.
+
+        Where the response is only assumed, lines may contradict others by their brightness.
+        """
+        controls, samples = self._controls, self._check.samples(len(self._capture.frames))
+        if self._check.scale.is_coarse or controls.response_origin is ResponseOrigin.ASSUMED:
+            return []
+        colours = (3,) if controls.layout is Layout.RGB else ()
+        planes = controls.layout.planes(np.empty((*controls.shape, *colours), np.uint8))
+        rows, columns, _ = patch_places(planes[0].shape, len(planes))
+        grid = rows.size, columns.size
+        exposures = [controls.exposure(frame.applied) for frame in self._frames]
+
+        def differ(one: int, other: int) -> bool:
+            ratio = exposures[other] / exposures[one]
+            return wrong_lines((samples[one], samples[other]), ratio, self._check.scale, grid)
+
+        wrong = [later for later in range(1, len(samples)) if differ(later - 1, later)]
+        # Where the frames on both sides differ, too, something as wide as the picture moved.
+        moved = {later for later in wrong if later + 1 in wrong and differ(later - 1, later + 1)}
+        return suspected(k for k in wrong if not {k, k - 1} & moved)
 
     def _forget_damage(self, position: int) -> None:
         """Forget what is known of a frame that changed, and of those judged beside it."""

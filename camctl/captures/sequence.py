@@ -235,6 +235,7 @@ class Sequence:
             white=frame.white,
             saturated_fraction=saturated / frame.pixels.size,
             timestamp_s=frame.timestamp_s if math.isfinite(frame.timestamp_s) else 0.0,
+            lost=frame.lost,
             details=clean_details(frame.details),
         )
         try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from camctl.evidence.delay import DelayError
@@ -146,9 +146,14 @@ def suspects(checks: Sequence[RatioCheck | None]) -> list[int]:
     them can be compared.  Where parts of that disagree, something moved, and another frame would
     not be better.
     """
-    wrong = [
+    return suspected(
         k for k, check in enumerate(checks) if check and not check.agrees and check.is_one_ratio
-    ]
+    )
+
+
+def suspected(disagreeing: Iterable[int]) -> list[int]:
+    """Return the suspects as `suspects` does; `disagreeing` are the later frames of pairs."""
+    wrong = list(disagreeing)
     between = {later for later in wrong if later + 1 in wrong}
     pairs = [
         (later - 1, later) for later in wrong if later not in between and later - 1 not in between

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -220,10 +221,8 @@ def capture_text(report: CaptureReport, directory: Path, *, with_bars: bool = Fa
     rows = []
     if report.untrustworthy_because is not None:
         rows.append(("not trustworthy", report.untrustworthy_because))
-    if again := [number for number, frame in enumerate(report.frames, 1) if frame.attempts > 1]:
-        frames = f"frame{'s' if len(again) > 1 else ''} {', '.join(map(str, again))}"
-        rows.append(("shot again", f"{frames}: the first one did not fit the other frames"))
     rows += [
+        *_frame_rows(report),
         *_levels_rows(achieved, plan),
         *_front_rows(plan, report.camera.id),
         (
@@ -243,6 +242,34 @@ def capture_text(report: CaptureReport, directory: Path, *, with_bars: bool = Fa
         *(("", name) for name in [*report.files.values(), REPORT, "frames/"]),
     ]
     return "\n".join([*parts, format_fields(rows)])
+
+
+def _frame_rows(report: CaptureReport) -> list[tuple[str, str]]:
+    """Return what happened to the frames, and which errors of their exposures would show."""
+    from camctl.evidence.ratio_check import least_errors
+
+    frames, rows = report.frames, []
+    if lost := [number for number, frame in enumerate(frames, 1) if frame.lost]:
+        rows.append(("lost", f"{_numbered(lost)}: lost on the way at first, and taken again"))
+    if again := [number for number, frame in enumerate(frames, 1) if frame.attempts > 1]:
+        text = f"{_numbered(again)}: the first one did not fit the other frames"
+        rows.append(("shot again", text))
+    least = least_errors([frame.ratio for frame in frames])
+    found = [(error, number) for number, error in enumerate(least, 1) if math.isfinite(error)]
+    if report.repeatable and found:
+        parts = [
+            f"{format_percent(error)} (frame {number})"
+            for error, number in sorted({min(found), max(found)})
+        ]
+        unseen = [number for number, error in enumerate(least, 1) if not math.isfinite(error)]
+        none = f"; none of {_numbered(unseen)}" if unseen else ""
+        text = f"wrong exposures show from {' to '.join(parts)} on{none}"
+        rows.append(("smallest error", text))
+    return rows
+
+
+def _numbered(numbers: Sequence[int]) -> str:
+    return f"frame{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers))}"
 
 
 def draws_bars() -> bool:

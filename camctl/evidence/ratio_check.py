@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import pairwise
 
 from pydantic import BaseModel, ConfigDict
 
@@ -80,3 +82,15 @@ class RatioCheck(ReportModel):
         Then many samples were compared, and most of them changed by one ratio.
         """
         return not self.agrees and self.is_certain and self.is_one_ratio
+
+
+def least_errors(checks: Sequence[RatioCheck | None]) -> list[float]:
+    """Return for each frame the least relative error of its exposure that its neighbours show.
+
+    `checks[k]` compares frame k with frame k - 1.  It is infinite where no error would show.
+    """
+    pairs = [
+        math.inf if check is None or check.measured is None else check.tolerance
+        for check in (*checks, None)
+    ]
+    return [min(pair) for pair in pairwise(pairs)]

@@ -99,6 +99,7 @@ class Frame:
         original: the camera's own file, where it made one
         details: what else the camera reports of the frame; kept as JSON in the capture's report
         place: where it is in an endless stream; None: it is one of a list
+        lost: frames of its setting that the camera lost, or sent unreadable, before this one
     """
 
     pixels: Pixels
@@ -111,6 +112,7 @@ class Frame:
     original: OriginalFile | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
     place: CyclePlace | None = None
+    lost: int = 0
 
 
 class FrameStream(Iterator[Frame], Protocol):

@@ -53,6 +53,7 @@ class StoredFrame(ReportModel):
         timestamp_s: when the exposure ended, on the camera's clock, s
         ratio: its exposure compared with the frame before
         attempts: 2 where it was shot again because its exposure did not agree
+        lost: frames of its setting that the camera lost, or sent unreadable, before this one
         details: what the camera reported besides
     """
 
@@ -72,6 +73,7 @@ class StoredFrame(ReportModel):
     timestamp_s: float
     ratio: RatioCheck | None = None
     attempts: int = 1
+    lost: int = 0
     details: dict[str, Any] = Field(default_factory=dict)
 
 

@@ -10,7 +10,7 @@ again while the frames of later settings still come: it costs one slot.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -43,6 +43,7 @@ class Shot(Generic[DataT]):
         time_s: when its exposure ended, s
         data: the frame as the source delivered it
         place: where it is in an endless stream; None: it is one of a list
+        lost: frames of the setting that were lost, or could not be read, before it
     """
 
     index: int
@@ -50,6 +51,7 @@ class Shot(Generic[DataT]):
     time_s: float
     data: DataT
     place: CyclePlace | None = None
+    lost: int = 0
 
 
 @dataclass(frozen=True)
@@ -177,6 +179,7 @@ class ExposurePipeline(Generic[DataT]):
         unwritten = list(range(len(to_write)))  # a heap: a setting without a frame comes first
         pending: deque[_Pending] = deque()
         taken: dict[int, Shot[DataT]] = {}  # frames that wait for one of a setting before theirs
+        losses: Counter[int] = Counter()
         done = attempts = 0
         while done < len(settings):
             if attempts > _ATTEMPTS:
@@ -198,7 +201,7 @@ class ExposurePipeline(Generic[DataT]):
                 continue
             lost = sum(stamp.number >= later.earliest for later in list(pending)[1:])
             attempts += lost
-            _write_again(pending, lost, unwritten)
+            losses.update(_write_again(pending, lost, unwritten))
             if stamp.number < pending[0].latest or pending[0].error is not None:
                 continue
             # The next setting is written before the frame is yielded: the caller may take long.
@@ -206,11 +209,13 @@ class ExposurePipeline(Generic[DataT]):
             data = self._source.read()
             if data is None:
                 attempts += 1
+                losses[pending[0].index] += 1
                 # The last setting stays in force: the next frame has it, too.
                 _write_again(pending, len(pending) > 1, unwritten)
                 continue
             shot = pending.popleft()
-            taken[shot.index] = Shot(shot.index, shot.applied, stamp.time_s, data)
+            lost = losses[shot.index]
+            taken[shot.index] = Shot(shot.index, shot.applied, stamp.time_s, data, lost=lost)
             while done < len(settings) and done in taken:  # the frame at rest is nobody's
                 yield taken.pop(done)
                 done, attempts = done + 1, 0
@@ -231,7 +236,7 @@ class ExposurePipeline(Generic[DataT]):
         Unless the delay is guaranteed, that is the second of two that are equally bright.
         """
         previous: tuple[int, float] | None = None
-        looked_at = 0
+        looked_at = unread = 0
         while looked_at < _ATTEMPTS:
             stamp = self._source.next_frame()
             is_early = stamp.number < written.latest
@@ -240,9 +245,10 @@ class ExposurePipeline(Generic[DataT]):
             looked_at += not is_early
             data = self._source.read() if stamp.is_certain or self._proves else None
             if data is None:
+                unread += not is_early and stamp.is_certain
                 previous = None
                 continue
-            shot = Shot(written.index, written.applied, stamp.time_s, data)
+            shot = Shot(written.index, written.applied, stamp.time_s, data, lost=unread)
             if self._proves is not None and self._proves(data, written.applied):
                 return shot
             if not stamp.is_certain:
@@ -331,7 +337,9 @@ class ExposurePipeline(Generic[DataT]):
         )
 
 
-def _write_again(pending: deque[_Pending], count: int, unwritten: list[int]) -> None:
-    """Put the first `count` written settings back among the settings to be written."""
-    for _ in range(count):
-        heappush(unwritten, pending.popleft().index)
+def _write_again(pending: deque[_Pending], count: int, unwritten: list[int]) -> list[int]:
+    """Put the first `count` written settings back to be written; return their indices."""
+    again = [pending.popleft().index for _ in range(count)]
+    for index in again:
+        heappush(unwritten, index)
+    return again

@@ -504,7 +504,8 @@ class GenicamCamera(StreamCamera[Received]):
         return self._stated.proves(pixels, setting, self._statement(received.chunks))
 
     def _frame(self, shot: Shot[Received], requested: ExposureSetting) -> Frame:
-        return self._made(shot.data, requested, shot.applied, shot.time_s, shot.index)
+        made = self._made(shot.data, requested, shot.applied, shot.time_s, shot.index)
+        return replace(made, lost=shot.lost)
 
     def _made(
         self,

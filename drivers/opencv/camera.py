@@ -134,7 +134,8 @@ class OpencvCamera(StreamCamera[Pixels]):
                 f"{self._name} now sends frames of {shape[1]}x{shape[0]}",
                 hint="open the camera again",
             )
-        return Frame(shot.data, requested, shot.applied, shot.time_s, shot.index, 0, self._white)
+        setting = requested, shot.applied, shot.time_s, shot.index
+        return Frame(shot.data, *setting, 0, self._white, lost=shot.lost)
 
 
 class _Stream:

@@ -207,6 +207,7 @@ class V4l2Camera(StreamCamera[Pixels]):
             index=shot.index,
             black=self._scale.black,
             white=self._scale.white,
+            lost=shot.lost,
         )
 
 

@@ -68,6 +68,15 @@ def test_a_corrupt_frame_is_right_in_its_upper_half_only() -> None:
     assert all(same(right[i], wrong[i]) for i in (0, 2, 3))
 
 
+@pytest.mark.parametrize("kind", ["truncate", "shift", "double", "green", "jpeg"])
+def test_a_damaged_frame_is_right_above_the_damage_only(kind: str) -> None:
+    faults = SimulatedOptions.parse({"faults": f"{kind}@1"}).faults
+    right, wrong = taken(), taken(faults)
+    assert np.array_equal(right[1].pixels[:12], wrong[1].pixels[:12])
+    assert not same(right[1], wrong[1])
+    assert all(same(right[i], wrong[i]) for i in (0, 2, 3))
+
+
 def test_a_late_frame_and_a_clock_that_jumps() -> None:
     right = taken()
     late = taken(Faults(delayed_frames={2: 5.0}))
@@ -93,7 +102,11 @@ def test_a_clamped_exposure_states_the_time_that_was_requested() -> None:
         ("wrong@1=0.5, wrong@2=2", {"wrong_exposure": {1: 0.5, 2: 2.0}}),
         ("late@1=0.25,jump@2=-3", {"delayed_frames": {1: 0.25}, "clock_jumps": {2: -3.0}}),
         ("clamp=0.1,longer=1e-4", {"longest_exposure_s": 0.1, "shutter_offset_s": 1e-4}),
-        ("corrupt@0", {"corrupt_frames": [0]}),
+        ("corrupt@0,jpeg@1", {"corrupt_frames": [0], "broken_jpegs": [1]}),
+        (
+            "shift@3,green@3,double@2",
+            {"shifted_frames": [3], "green_frames": [3], "doubled_frames": [2]},
+        ),
     ],
 )
 def test_text_and_json_give_the_same_faults(text: str, fields: dict[str, Any]) -> None:

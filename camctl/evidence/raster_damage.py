@@ -1,0 +1,89 @@
+"""Lines of a frame that were lost, shifted or overwritten on their way from the camera.
+
+A frame is sent line by line, so that what goes wrong is wrong in whole lines, from one side of the
+picture to the other, while the lines beside them fit the other frames.  A thing that moves covers
+a part of the width, and wrong exposures all lines.
+"""
+
+from __future__ import annotations
+
+import math
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.evidence.light_ratio import FrameSample
+from camctl.evidence.patch_errors import LEAST_PATCHES
+from camctl.evidence.ratio_check import SIGNIFICANCE
+from camctl.model.sensor import BLACK_ERROR_LEVELS, RESPONSE_ERROR, SensorModel
+
+#: Parts of the width, in each of which lines that are wrong contradict the other frame.
+_PARTS = 4
+#: Share of the comparable patches of a line that contradict where it is wrong, at least: of shifted
+#: lines those on contours; and where it is right, at most: what noise and spread light leave.
+_WRONG, _RIGHT = 0.2, 0.02
+
+_Marks = NDArray[np.bool_]
+_Floats = NDArray[np.float64]
+
+
+def wrong_lines(
+    pair: tuple[FrameSample, FrameSample],
+    ratio: float,
+    sensor: SensorModel,
+    grid: tuple[int, int],
+) -> bool:
+    """Return whether some lines of one of two frames contradict the other frame, and others not.
+
+    Args:
+        pair: the frames
+        ratio: of their exposures, the second over the first
+        sensor: the camera's
+        grid: rows and columns of the patches of a colour; colours of other grids do not count
+    """
+    one_low, one_high = _light(pair[0], sensor)
+    low, high = (each / ratio for each in _light(pair[1], sensor))
+    # Nothing is known of the light of a patch that is saturated in both, or dark in both.
+    compared = (np.isfinite(one_high) | np.isfinite(high)) & ((one_low > 0) | (low > 0))
+    contradicts = compared & ((one_low > high) | (low > one_high))
+    return _are_lines(_by_line(contradicts, grid), _by_line(compared, grid))
+
+
+def _by_line(marks: _Marks, grid: tuple[int, int]) -> _Marks:
+    """Return marks of patches, colour by colour, as (rows, columns x colours)."""
+    size = math.prod(grid)
+    whole = marks[: len(marks) // size * size].reshape(-1, *grid)
+    return whole.transpose(1, 2, 0).reshape(grid[0], -1)
+
+
+def _are_lines(contradicts: _Marks, compared: _Marks) -> bool:
+    """Return whether patches, (rows, columns), contradict in whole lines and not beside them."""
+    usable = np.count_nonzero(compared, axis=1)
+    share = np.count_nonzero(contradicts, axis=1) / np.maximum(usable, 1)
+    seen = usable >= _PARTS
+    wrong = seen & (share >= _WRONG)
+    between = seen & (share > _RIGHT) & ~wrong
+    # A line that begins or ends within a patch is between: two for each run of wrong lines.
+    runs = np.count_nonzero(np.diff(wrong[seen].astype(np.int8), prepend=0, append=0)) // 2
+    if wrong.sum() == seen.sum() or np.count_nonzero(between) > 2 * runs:
+        return False
+    # From left to right, as many comparable patches in each part.
+    row, column = np.nonzero(compared[wrong])
+    marks = contradicts[wrong][row, column][np.argsort(column, kind="stable")]
+    parts = np.array_split(marks, _PARTS)
+    is_wide = all(np.count_nonzero(part) > _RIGHT * part.size for part in parts)
+    return is_wide and int(np.count_nonzero(marks)) >= LEAST_PATCHES
+
+
+def _light(frame: FrameSample, sensor: SensorModel) -> tuple[_Floats, _Floats]:
+    """Return between which limits the light of each patch is: infinite where it is saturated."""
+    count = frame.patches.shape[1]
+    values = sensor.light[frame.patches]
+    mean = values.mean(axis=1)
+    own = values.var(axis=1) if frame.noise is None else sensor.spread(mean, frame.noise)
+    error = own / count + np.square(sensor.step(mean)) / 12
+    error += np.square(BLACK_ERROR_LEVELS * sensor.level) + np.square(RESPONSE_ERROR * mean)
+    limit = -NormalDist().inv_cdf(SIGNIFICANCE / 2 / len(mean)) * np.sqrt(error)
+    is_cut = (frame.patches > sensor.highest(frame.noise)).any(axis=1)
+    return mean - limit, np.where(is_cut, math.inf, mean + limit)

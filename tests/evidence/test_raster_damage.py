@@ -1,0 +1,73 @@
+"""Lines that were lost or shifted are found; things that move and wrong exposures are not that."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from camctl.evidence.light_ratio import NeighbourCheck
+from camctl.evidence.patches import patch_places
+from camctl.evidence.raster_damage import wrong_lines
+from camctl.interface.camera import Pixels
+from camctl.interface.controls import ExposureSetting
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.damage import DAMAGES, damaged
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import load_sensor
+
+SHORTEST_S = {"tile-floor": 0.01}  # of other scenes 3 ms
+
+
+def settings(scene: str) -> list[ExposureSetting]:
+    time_s = SHORTEST_S.get(scene, 0.003)
+    return [ExposureSetting(time_s), ExposureSetting(4 * time_s)]
+
+
+@lru_cache
+def taken(scene: str, sensor: str) -> tuple[SimulatedCamera, list[Pixels]]:
+    camera = SimulatedCamera(load_scene(scene, (240, 320)), load_sensor(sensor), seed=1)
+    return camera, [frame.pixels for frame in camera.shoot(settings(scene))]
+
+
+def found(scene: str, sensor: str, second: Pixels | None = None, ratio: float = 4.0) -> bool:
+    """Return whether the two frames, or the first one and `second`, have wrong lines."""
+    camera, frames = taken(scene, sensor)
+    controls = camera.controls
+    check = NeighbourCheck(controls.levels, controls.black, controls.layout)
+    noise = controls.frame_noise(settings(scene))
+    pair = (
+        check.sample(frames[0], noise[0]),
+        check.sample(frames[1] if second is None else second, noise[1]),
+    )
+    planes = controls.layout.planes(frames[0])
+    rows, columns, _ = patch_places(planes[0].shape, len(planes))
+    return wrong_lines(pair, ratio, check.scale, (rows.size, columns.size))
+
+
+@pytest.mark.parametrize("kind", sorted(set(DAMAGES) - {"corrupt"}))
+@pytest.mark.parametrize(
+    ("scene", "sensor"), [("tile-floor", "machine-vision"), ("cloth", "phone")]
+)
+def test_damaged_lines_are_found(kind: str, scene: str, sensor: str) -> None:
+    camera, frames = taken(scene, sensor)
+    white = camera.controls.white
+    results = [found(scene, sensor, damaged(frames[1], kind, n, white)) for n in range(4)]
+    assert sum(results) >= 3
+
+
+@pytest.mark.parametrize("scene", ["tile-floor", "cloth", "moving-target", "ball", "night-street"])
+@pytest.mark.parametrize("sensor", ["machine-vision", "complete"])
+def test_frames_that_are_whole_have_no_wrong_lines(scene: str, sensor: str) -> None:
+    assert not found(scene, sensor)
+
+
+def test_a_wrong_exposure_is_wrong_everywhere() -> None:
+    assert not found("tile-floor", "machine-vision", ratio=2.0)
+
+
+def test_a_thing_that_covers_half_of_the_width_is_no_line() -> None:
+    frame = taken("tile-floor", "machine-vision")[1][1].copy()
+    frame[100:180, :160] = np.roll(frame, 20, axis=1)[100:180, :160] // 2
+    assert not found("tile-floor", "machine-vision", frame)
