@@ -112,6 +112,7 @@ def test_shoot_takes_a_picture_with_the_example(python: Python, tmp_path: Path) 
     assert (tmp_path / "x" / "radiance.exr").exists()
 
 
+@pytest.mark.slow
 def test_errors_of_the_example_are_one_line(python: Python) -> None:
     lines = {
         "--camera example:brigth": "1 no camera example:brigth; try bright",

@@ -8,6 +8,8 @@ import sys
 import textwrap
 from pathlib import Path
 
+import pytest
+
 BLOCKED = ("curses", "fcntl", "grp", "pwd", "resource", "termios", "tty")
 BLOCKER = f"""
 import sys
@@ -55,6 +57,7 @@ def test_capture_with_the_simulated_camera(tmp_path: Path) -> None:
     assert run(code, tmp_path) == "complete (48, 64)\n"
 
 
+@pytest.mark.slow
 def test_v4l2_backend_reports_that_it_needs_linux(tmp_path: Path) -> None:
     code = """
         import camctl
@@ -73,6 +76,7 @@ def test_v4l2_backend_reports_that_it_needs_linux(tmp_path: Path) -> None:
     assert problems == ["V4L2 cameras need Linux; choose another camera"] * 2
 
 
+@pytest.mark.slow
 def test_commands_that_need_no_device(tmp_path: Path) -> None:
     code = """
         from camctl.cli import main

@@ -96,6 +96,7 @@ def test_the_error_of_a_measured_response_is_in_the_intervals() -> None:
     assert np.mean([each.contradicts_label for each in settings]) <= 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("own_profiles")
 def test_a_label_that_is_wrong_by_a_hundredth_is_found_with_a_measured_response() -> None:
     record = measure_both("webcam", 0, offset_s=0.01 * 0.0011)

@@ -69,7 +69,7 @@ def ramp_pairs(
     [
         ("standard", "tile-floor"),  # 8 bits, linear, noise below a third of a level in the dark
         pytest.param("consumer", "tile-floor", marks=pytest.mark.slow),  # sRGB, cut at black
-        ("phone", "room"),  # Bayer mosaic, black level
+        pytest.param("phone", "room", marks=pytest.mark.slow),  # Bayer mosaic, black level
         pytest.param("webcam", "colour-chart", marks=pytest.mark.slow),  # RGB, cut at black
         ("machine-vision", "tile-floor"),  # 12 bits, mono
     ],

@@ -52,10 +52,10 @@ def test_metering_actuates_the_shutter_only_on_request() -> None:
 @pytest.mark.parametrize(
     ("brightest", "kind"),
     [
-        (1e-1, ("srgb", 8, 0)),
+        pytest.param(1e-1, ("srgb", 8, 0), marks=pytest.mark.slow),
         pytest.param(1.0, ("linear", 10, 64), marks=pytest.mark.slow),
         (30.0, ("srgb", 8, 0)),
-        (1e3, ("linear", 10, 64)),
+        pytest.param(1e3, ("linear", 10, 64), marks=pytest.mark.slow),
     ],
 )
 def test_metering_costs_few_actuations_and_finds_the_highlights(

@@ -79,6 +79,7 @@ def test_labels_are_used_where_nothing_can_be_estimated() -> None:
     assert any("could not be estimated: the frames are black" in line for line in report.warnings)
 
 
+@pytest.mark.slow
 def test_calibrated_exposures_replace_the_labels(
     monkeypatch: pytest.MonkeyPatch, tmp_path: object
 ) -> None:

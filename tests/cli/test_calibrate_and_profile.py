@@ -199,6 +199,7 @@ def test_nothing_is_measured_through_an_assumed_response(run: Run, what: str) ->
     assert list_profiles() == []
 
 
+@pytest.mark.slow
 def test_exposures_and_noise_are_measured_through_a_response_that_is_given(run: Run) -> None:
     given = (*CURVED, "--response", "srgb", "--json")
     times = run("calibrate", "exposure", *given, "--repeats", "2").json["times"]

@@ -70,7 +70,7 @@ STREAMS = [
 ]
 
 
-IN_SLOW_TESTS = {0, 1, 4, 6, 8, 9, 10, 11, 13, 14, 15, 16}
+IN_SLOW_TESTS = {0, 1, 2, 4, 6, 8, 9, 10, 11, 13, 14, 15, 16}
 """Places in `STREAMS` of lines that differ from another one in a stream or the command alone."""
 
 
@@ -161,6 +161,7 @@ def test_folder_in_place_of_a_file_is_one_line(run: Run, line: str, name: str) -
     assert "internal error" not in ran.error
 
 
+@pytest.mark.slow
 def test_file_without_permission_is_one_line(folder: Path) -> None:
     for _, name in UNREADABLE:
         (folder / name).touch(mode=0)

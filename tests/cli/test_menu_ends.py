@@ -80,6 +80,7 @@ def test_menu_ends_when_its_terminal_is_closed(
     assert end(terminal) == (status, err)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("end_with", "status", "err"),
     [

@@ -90,6 +90,7 @@ def test_photographs_of_different_cameras_are_named() -> None:
     assert PhotographFiles(files[:2], (1 / 64, 1 / 16)).notes == []
 
 
+@pytest.mark.slow
 def test_a_profile_of_the_camera_in_the_exif_data_is_used(run: Run) -> None:
     from camctl.interface.camera import CameraInfo
     from camctl.profiles.profile import Profile, change_profile

@@ -113,6 +113,7 @@ def test_options_reach_plan_and_request(run: Run) -> None:
     assert shot(run, "-o", "e", "--ratios", "1,2", "--meter")["request"]["spend_shutter"] is True
 
 
+@pytest.mark.slow
 def test_any_gamma_is_the_desired_response(run: Run) -> None:
     arguments = ("--sensor", "ideal-4", "-n", "2", "--set", "objective=xi", "--range", "medium")
     report = shot(run, *arguments, "--gamma", "0.45", "-o", "a")

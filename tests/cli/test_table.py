@@ -80,6 +80,7 @@ def test_a_camera_without_a_row_has_a_hint_that_can_be_followed(run: Run) -> Non
     assert "find exposures with camctl solve --camera sim" in run(*line).error
 
 
+@pytest.mark.slow
 def test_table_is_the_same_with_any_number_of_workers(run: Run) -> None:
     one = run("table", "build", *SMALL, "-o", "a", "--workers", "1", "--json").json
     two = run("table", "build", *SMALL, "-o", "b", "--workers", "2", "--json").json

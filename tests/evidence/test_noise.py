@@ -145,8 +145,10 @@ def test_uncertainty_is_the_scatter_of_repeated_captures() -> None:
     ("ratio", "contrast"),
     [
         (27.0, 0.08),
-        (35.0, 0.0),
-        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((27.0, 0.0), (35.0, 0.08))),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in ((27.0, 0.0), (35.0, 0.0), (35.0, 0.08))
+        ),
     ],
 )
 def test_frames_with_little_light_in_common_say_how_uncertain_they_are(

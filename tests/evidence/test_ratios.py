@@ -59,7 +59,7 @@ def errors(found: RatioEstimates, true: NDArray[np.float64]) -> NDArray[np.float
         (linear_response(8, phase=0.5), 0),
         pytest.param(linear_response(10, phase=0.5, levels=959), 64, marks=pytest.mark.slow),
         pytest.param(linear_response(12), 0, marks=pytest.mark.slow),
-        (standard_response("srgb", 8, phase=0.5), 0),
+        pytest.param(standard_response("srgb", 8, phase=0.5), 0, marks=pytest.mark.slow),
         pytest.param(
             standard_response("power", 10, phase=0.5, gamma=1.8), 0, marks=pytest.mark.slow
         ),

@@ -76,6 +76,7 @@ def test_samples_that_blooming_makes_wrong_are_marked(
     assert marked.mean() == pytest.approx(movement.share + movement.spread)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sensor", "stops"), [("phone", -0.5), pytest.param("ccd", -1.0, marks=pytest.mark.slow)]
 )

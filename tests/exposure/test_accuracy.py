@@ -96,6 +96,7 @@ def misses(seeds: Iterable[int]) -> list[int]:
     return wrong
 
 
+@pytest.mark.slow
 def test_no_set_of_a_short_list_is_missed() -> None:
     assert misses(range(2)) == []
 

@@ -66,6 +66,7 @@ def test_search_on_a_grid_uses_the_whole_objective() -> None:
         assert noisy.total_exposure > plain.total_exposure
 
 
+@pytest.mark.slow
 def test_same_seed_gives_the_same_settings() -> None:
     grid = SettingsGrid(stepped(1e-3, 1.0, 1e-3), gains=(1, 2))
     search = SearchOptions(seed=7, effort=0.2)

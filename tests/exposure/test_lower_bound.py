@@ -43,6 +43,7 @@ def test_two_exposures_of_the_printed_table_are_proven_optimal(name: str, best: 
     assert round(proof.xi, 2) == best
 
 
+@pytest.mark.slow
 def test_bound_holds_for_an_srgb_camera_that_rounds() -> None:
     desired = desired_response("gamma", 256.0, gamma=0.3)
     response = standard_response("srgb", 6, phase=0.5)

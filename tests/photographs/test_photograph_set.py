@@ -110,6 +110,7 @@ def test_a_wrong_label_is_named_where_photographs_are_nearly_black(
     assert found.camera.photographs[place].time_s == pytest.approx(times[place], rel=0.1)
 
 
+@pytest.mark.slow
 def test_all_wrong_labels_are_named_also_those_that_turn_the_order(opened: Opened) -> None:
     labels = list(TIMES[1:9])
     labels[1] *= 5
@@ -253,6 +254,7 @@ class TestWhiteBalance:
         assert other.details["blue"] == pytest.approx(0.9, abs=0.005)
         assert len(found.camera.photographs) == 4
 
+    @pytest.mark.slow
     def test_another_one_of_the_darkest_photograph_is_named(self) -> None:
         """JPEG hides small differences in it, and not this one."""
         (other,) = with_colours(TIMES[:8:2], [(1.4, 1), (1, 1), (1, 1), (1, 1)], "srgb").notes

@@ -80,6 +80,7 @@ def test_low_counts_are_the_exact_quantiles(mean: float) -> None:
     assert np.array_equal(poisson_quantiles(means, uniform), exact)
 
 
+@pytest.mark.slow
 def test_higher_counts_are_the_exact_quantiles_but_for_few_that_differ_by_one() -> None:
     uniform = np.random.default_rng(2).random(40_000)
     for mean in (24.0, 60.0, 1e3, 1e5):

@@ -164,6 +164,7 @@ def test_rows_without_a_front_or_a_result_have_no_comparison() -> None:
     assert study.around == []
 
 
+@pytest.mark.slow
 def test_no_method_beats_the_front_and_its_points_are_what_they_promise() -> None:
     run = metered(replace(RUN, size="64x48"))
     runs = front_runs(run)
