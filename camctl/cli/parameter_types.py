@@ -373,7 +373,9 @@ class Ratios(ListOf):
     name = "ratios"
 
     def __init__(self) -> None:
-        super().__init__(Number("positive numbers such as 1,2,4", above=0))
+        super().__init__(
+            Number("numbers from 1e-100 to 1e100, such as 1,2,4", least=1e-100, most=1e100)
+        )
 
     def parse(self, text: str, option: str) -> tuple[float, ...]:
         """Return the exposures, ascending and relative to the smallest."""

@@ -64,8 +64,9 @@ DEFAULT_EVALUATIONS = 400_000
 _MOST_SETS = 1e12
 """Sets of exposures that no time limit exceeds: months of work."""
 
-PROOF_SECONDS = 20.0
-"""Processor time for them, about, at most."""
+PROOF_SECONDS, FINE_PROOF_SECONDS = 20.0, 8.0
+"""Processor time for them, about, at most; less where the search before takes long, for more than
+10 bits."""
 
 _TIMED_SETS, _TIMED_SECONDS = 256, 1.0
 """Sets that are evaluated to measure this machine's speed, and about the time for it, at most."""
@@ -273,10 +274,12 @@ def _certify(
     from camctl.exposure.candidates import BatchScore
     from camctl.exposure.lower_bound import certify
     from camctl.exposure.objective import ExposureProblem
+    from camctl.exposure.solver import MAX_DIRECT_LEVELS
 
     score = BatchScore(ExposureProblem(real, desired, n), exact=True)
     rate = 1 / score.seconds
-    most = min(DEFAULT_EVALUATIONS, int(PROOF_SECONDS * rate))
+    longest_s = PROOF_SECONDS if real.M <= MAX_DIRECT_LEVELS else FINE_PROOF_SECONDS
+    most = max(1, min(DEFAULT_EVALUATIONS, int(longest_s * rate)))
     if time_limit_s is not None:
         rate = _sets_per_second(score, desired, n)
         most = max(1, int(min(time_limit_s * rate, _MOST_SETS)))

@@ -90,6 +90,9 @@ WEIGHT_LIMITS = 0.02, 10.0
 """Least and largest weight of time (see `camctl.exposure.design`) that is believed there."""
 
 
+MOST_LONGER = 100.0
+"""Largest ln of a factor of time that is tried at once: what is longer is beyond every limit."""
+
 Judged: TypeAlias = tuple[Rated, Design, DesignSearch]
 """A set with its exact rating, and the search that it comes from."""
 
@@ -349,7 +352,8 @@ class AccurateSets:
                 break
             last, weight = found, min(max(weight, WEIGHT_LIMITS[0]), WEIGHT_LIMITS[1])
             goal = math.log(levels * MIDDLE / found.levels)
-            time = (found.time + fixed) * math.exp(2 * goal / weight) - fixed
+            longer = math.exp(min(2 * goal / weight, MOST_LONGER))
+            time = (found.time + fixed) * longer - fixed
             top = limit if best is None else best.time
             if top + fixed <= (missed + fixed) * NEAR_TIME:
                 break

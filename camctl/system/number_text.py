@@ -15,9 +15,14 @@ def range_text(dynamic_range: float) -> str:
 
     >>> range_text(4096.0), range_text(131072.0), range_text(1.5), range_text(math.inf)
     ('1:4,096', '1:131,072', '1:1.5', 'unlimited')
+    >>> range_text(1.001), range_text(1 + 1e-7)
+    ('1:1.001', '1:1.0000001')
     """
     if math.isinf(dynamic_range):
         return "unlimited"
+    if 1 < dynamic_range < 1.01:  # three digits of what it is above 1
+        digits = min(17, 3 - math.floor(math.log10(dynamic_range - 1)))
+        return f"1:{dynamic_range:.{digits}g}"
     number = float(f"{dynamic_range:.9g}")
     return f"1:{number:,.0f}" if number >= 100 else f"1:{number:.3g}"
 

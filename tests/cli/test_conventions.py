@@ -135,7 +135,7 @@ def test_python_runs_the_package() -> None:
 WHOLE_TO_16 = "expected a whole number from 1 to 16"
 A_TIME = "expected a time in seconds such as 0.004 or 1/250"
 NO_PROFILES = "unknown profile 'x': there are no profiles; make one: calibrate a camera"
-RATIOS = "expected positive numbers such as 1,2,4"
+RATIOS = "expected numbers from 1e-100 to 1e100, such as 1,2,4"
 
 
 @pytest.mark.parametrize(
@@ -187,6 +187,7 @@ RATIOS = "expected positive numbers such as 1,2,4"
         ("solve --seed -1", "invalid value for --seed: -1; expected a whole number of at least 0"),
         ("evaluate --ratios 1,-2", f"invalid value for --ratios: -2; {RATIOS}"),
         ("evaluate --ratios 1,0", f"invalid value for --ratios: 0; {RATIOS}"),
+        ("evaluate --ratios 1,1e-320", f"invalid value for --ratios: 1e-320; {RATIOS}"),
         ("evaluate --ratios 1,inf", f"invalid value for --ratios: inf; {RATIOS}"),
         ("evaluate --ratios 1,nan", f"invalid value for --ratios: nan; {RATIOS}"),
         ("evaluate --ratios 1,two", f"invalid value for --ratios: two; {RATIOS}"),

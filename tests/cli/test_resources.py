@@ -72,3 +72,16 @@ def test_a_very_narrow_range_is_no_memory_bomb() -> None:
 def test_every_corner_is_bounded_or_refused(command: str) -> None:
     """Each fourth line; all of them are for the table in docs/reference/measured.md."""
     assert broken("--only", f"{command} ", "--every", "4") == []
+
+
+def test_a_few_combinations_of_corners_are_bounded_or_refused() -> None:
+    given = ("--combine", "pairs", "--most", "1", "--seconds", "10")
+    assert broken("--only", "evaluate ", *given) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["pairs", "heavy"])
+@pytest.mark.parametrize("command", sorted({name.split()[0] for name, _ in lines()}, key=str))
+def test_combinations_of_corners_are_bounded_or_refused(command: str, how: str) -> None:
+    """Two rows of each command; more of them are for the table in docs/reference/measured.md."""
+    assert broken("--only", f"{command} ", "--combine", how, "--most", "2") == []

@@ -205,6 +205,12 @@ def test_an_accuracy_that_no_set_reaches_is_refused_with_the_best() -> None:
     assert "x the shortest" in str(e.value)
 
 
+def test_an_accuracy_beyond_all_numbers_is_refused_with_the_best() -> None:
+    available = AvailableExposures(np.arange(1, 3001) * 1e-3, base=(0.01, 0.01), unit_s=1.0)
+    with pytest.raises(UsageError, match=r"has 1e\+308 .* the best has"):
+        solve_accuracy(problem_of("log", available=available), [3], accuracy=1e308)
+
+
 def test_without_noise_the_levels_interleave() -> None:
     """Noise-free effective levels decide: (1, 1) of an 8-bit camera has 255, interleaved 386."""
     found = solve_accuracy(problem_of("linear", 512.0, noise=NOISELESS), [2])
