@@ -22,7 +22,7 @@ from camctl.errors import CamctlError
 from camctl.interface.camera import Camera
 from camctl.menu import camera_job
 from camctl.menu.camera_job import CameraJob
-from camctl.menu.data import CameraEntry, Choice, Cost, Past, Progress, Settings
+from camctl.menu.data import CameraEntry, Choice, Cost, Past, Progress, SeriesChoice, Settings
 from camctl.menu.drawing import Pixels, draw, text_picture
 from camctl.menu.entries import CUSTOM, choice
 from camctl.menu.layout import grid
@@ -38,6 +38,7 @@ FOLDER = Path(__file__).parent.absolute() / "pictures/menu"
 GAP = 6
 FREE_BYTES = 12_300_000_000
 CAPTURES = Path("captures")
+SERIES = SeriesChoice(Choice("log", 1000.0), 10, 60.0)
 WEBCAM = CameraEntry("v4l2:/dev/video9", "HD Webcam C920")
 
 
@@ -64,10 +65,11 @@ def models() -> dict[State, Model]:
     return found
 
 
-def _job(**options: Any) -> CameraJob:
+def _job(camera: str = "sim", **options: Any) -> CameraJob:
     def opened(camera_id: str) -> tuple[Camera, dict[str, Any]]:
-        given = {"scene": "room", "sensor": "phone", **options} if not camera_id else {}
-        return camctl.open_camera(camera_id or "sim", **given), {}
+        simulated = not camera_id and camera == "sim"
+        given = {"scene": "room", "sensor": "phone", **options} if simulated else {}
+        return camctl.open_camera(camera_id or camera, **given), {}
 
     return CameraJob(opened, CAPTURES, Path("menu.json"))
 
@@ -128,6 +130,9 @@ def _errors(job: CameraJob) -> dict[State, str]:
         State.SEARCH_FAILED: not_found,
         State.BROWSE_FAILED: not_listed,
         State.LOOK_FAILED: _error(lambda: job.look(damaged)),
+        State.SERIES_FAILED: _error(
+            lambda: _job(camera=WEBCAM.id).series(SERIES, lambda _: None, lambda: False)
+        ),
         State.RESUME_FAILED: _error(
             lambda: other.resume(unfinished, lambda _: None, lambda: False)
         ),
@@ -160,7 +165,7 @@ def main() -> None:
     FOLDER.mkdir(exist_ok=True)
     shown = models()
     states = [state for state in State if state not in (State.SAVER, State.QUIT)]
-    captures = (State.SHOOTING, State.RESUMING, State.CANCELLING)
+    captures = (State.SHOOTING, State.RESUMING, State.CANCELLING, State.SERIES_SHOOTING)
     screens = [
         screen(replace(shown[state], progress=shown[state].progress if state in captures else None))
         for state in states

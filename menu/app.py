@@ -218,7 +218,7 @@ class Session:
             self.last_summary = model.summary
         if model.state is State.STARTING or before.state is State.STARTING:
             self._saved = model.settings
-        changed = model.state is not before.state or model.state is State.SETTINGS
+        changed = model.state is not before.state or model.state in (State.SETTINGS, State.SERIES)
         if changed and model.settings != self._saved:
             self._saved = model.settings
             self.worker.save(model.settings)

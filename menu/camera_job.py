@@ -39,13 +39,14 @@ from camctl.menu.data import (
     Progress,
     Reading,
     Rival,
+    SeriesChoice,
     Settings,
     Summary,
     Traced,
 )
 from camctl.menu.live_view import LiveView, Sight
 from camctl.menu.settings_file import load_settings, save_settings
-from camctl.menu.thumbnails import frame_histogram, frame_picture, sampled_picture
+from camctl.menu.thumbnails import focus_value, frame_histogram, frame_picture, sampled_picture
 from camctl.menu.views import (
     entry_of,
     needed_bytes,
@@ -108,6 +109,7 @@ class CameraJob:
         self._previewed: PreviewedLight | None = None
         self._previewed_until_s = -math.inf
         self._view = LiveView(sight)
+        self._best_focus = 0.0
 
     def load(self) -> Loaded:
         """Return the settings of the file, and how many captures are unfinished."""
@@ -128,6 +130,7 @@ class CameraJob:
         self._camera_id = camera_id
         self._camera, self._source = self._open_camera(camera_id)
         self._entry = entry_of(self._camera.info)
+        self._best_focus = 0.0
         self._ask_condition()
         return_free_memory()
         return self._entry
@@ -172,7 +175,12 @@ class CameraJob:
 
         A camera without preview is asked for nothing.
         """
-        return self._with_camera(self._reading, keeps_view=True)
+        reading = self._with_camera(self._reading, keeps_view=True)
+        if reading.focus is None:
+            return reading
+        self._best_focus = max(self._best_focus, reading.focus)
+        percent = round(100 * reading.focus / self._best_focus) if self._best_focus else None
+        return replace(reading, focus_percent=percent)
 
     def _reading(self, camera: Camera) -> Reading:
         reading = Reading(
@@ -202,6 +210,7 @@ class CameraJob:
             clipped=metered.clipped,
             histogram=frame_histogram(frame, camera.controls.layout),
             picture=frame_picture(frame, camera.controls.layout),
+            focus=focus_value(camera.controls.layout.planes(frame.pixels)[0]),
         )
 
     def predict(self, choices: Sequence[Choice], cancelled: Callable[[], bool]) -> Iterator[Cost]:
@@ -371,6 +380,28 @@ class CameraJob:
             )
 
         return summary_view(self._with_camera(resume_with), folder)
+
+    def series(
+        self,
+        series: SeriesChoice,
+        on_progress: Callable[[Progress], None],
+        cancelled: Callable[[], bool],
+    ) -> Summary:
+        """Take a series into a new folder, as ``camctl series`` does."""
+        from camctl.menu.series_job import take_series
+
+        directory = next_folder(self._parent, datetime.now(), "series")
+        request = self._request_for(series.choice)
+
+        def take_with(camera: Camera) -> Summary:
+            return take_series(
+                camera, self._source, request, series, directory, on_progress, cancelled
+            )
+
+        summary = self._with_camera(take_with)
+        self._ask_condition()
+        return_free_memory()
+        return summary
 
     def captures(self) -> tuple[Past, ...]:
         try:

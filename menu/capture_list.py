@@ -13,30 +13,39 @@ from pathlib import Path
 
 from camctl.errors import CamctlError
 from camctl.menu.data import Past
-from camctl.records import REPORT
+from camctl.records import REPORT, SERIES
 from camctl.system.input_files import read_own_file
 
-_NUMBERED = re.compile(r"capture-(\d{4,7})(?:-\d{8}-\d{6})?", re.ASCII)
+_NUMBERED = re.compile(r"(?:capture|series)-(\d{4,7})(?:-\d{8}-\d{6})?", re.ASCII)
 _FIRST_YEAR = 2026
 """A clock that shows an earlier year was never set."""
 _MOST_LISTED = 100  # the newest ones
 
 
-def next_folder(parent: Path, now: datetime) -> Path:
-    """Return the path of the next capture's folder in `parent`."""
+def next_folder(parent: Path, now: datetime, kind: str = "capture") -> Path:
+    """Return the path of the next folder in `parent`, of a "capture" or a "series"."""
     names = [path.name for path in parent.iterdir()] if parent.is_dir() else []
     number = 1 + max((_number(name) for name in names), default=0)
     date = f"-{now:%Y%m%d-%H%M%S}" if now.year >= _FIRST_YEAR else ""
-    return parent / f"capture-{number:04d}{date}"
+    return parent / f"{kind}-{number:04d}{date}"
 
 
 def list_captures(parent: Path) -> tuple[Past, ...]:
-    """Return the captures in a folder, the newest first, `_MOST_LISTED` of them at most."""
+    """Return the captures in a folder, the newest first, `_MOST_LISTED` of them at most.
+
+    A series has its last picture in the list.
+    """
     if not parent.is_dir():
         return ()
-    folders = [path for path in parent.iterdir() if (path / REPORT).is_file()]
-    folders.sort(key=lambda path: (_number(path.name), path.name), reverse=True)
-    return tuple(Past(path.name, _is_complete(path)) for path in folders[:_MOST_LISTED])
+    folders = sorted(parent.iterdir(), key=lambda path: (_number(path.name), path.name))
+    found: list[Path] = []
+    for folder in reversed(folders):
+        if (folder / SERIES).is_file():
+            folder = max(folder.glob(f"*/{REPORT}"), default=folder / REPORT).parent
+        if (folder / REPORT).is_file():
+            found.append(folder)
+    shown = found[:_MOST_LISTED]
+    return tuple(Past(str(each.relative_to(parent)), _is_complete(each)) for each in shown)
 
 
 def _number(name: str) -> int:

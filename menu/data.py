@@ -22,6 +22,8 @@ class Settings:
         timer: index of the entry of `camctl.menu.entries.TIMERS`
         saver: index of the entry of `camctl.menu.entries.SAVERS`
         mains: index of the entry of `camctl.menu.entries.MAINS`
+        interval: index of the entry of `camctl.menu.entries.INTERVALS`
+        repeat: index of the entry of `camctl.menu.entries.REPEATS`
         camera: id of the camera that was chosen last; "": the camera of the command line
     """
 
@@ -33,6 +35,8 @@ class Settings:
     timer: int = 1
     saver: int = 1
     mains: int = 0
+    interval: int = 4
+    repeat: int = 2
     camera: str = ""
 
 
@@ -70,6 +74,21 @@ class Choice:
     count: int | None = None
     time_budget_s: float | None = None
     mains_hz: float | None = None
+
+
+@dataclass(frozen=True)
+class SeriesChoice:
+    """A series that the user selected.
+
+    Attributes:
+        choice: of each picture
+        count: number of pictures
+        interval_s: from the start of one to the start of the next, s; None: at once
+    """
+
+    choice: Choice
+    count: int
+    interval_s: float | None
 
 
 @dataclass(frozen=True)
@@ -159,6 +178,8 @@ class Reading:
         rate: pictures a second of the effective camera, live; None: it is a metering frame
         battery_percent, free_images: charge of the camera's battery, and room on its card, after
             it was opened or took pictures; None: it does not state them
+        focus: how sharp the middle of the picture is, see `camctl.menu.thumbnails.focus_value`
+        focus_percent: the same, of the sharpest since the camera was opened; None: unknown
     """
 
     time_s: float = 0.0
@@ -172,6 +193,8 @@ class Reading:
     rate: float | None = None
     battery_percent: int | None = None
     free_images: int | None = None
+    focus: float | None = None
+    focus_percent: int | None = None
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from camctl.menu.data import Choice, Cost, Settings
+from camctl.menu.data import Choice, Cost, SeriesChoice, Settings
 from camctl.menu.model import Action, Goal, Model, State
 from camctl.menu.tables import STATES
 from camctl.menu.text import format_levels, format_short_time
@@ -71,10 +71,24 @@ MAINS = _entries(
     (50.0, "Lamps 50 Hz mains", "Lamps 50 Hz"),
     (60.0, "Lamps 60 Hz mains", "Lamps 60 Hz"),
 )
+INTERVALS = (
+    Entry(("At once",), None),
+    *(
+        Entry((f"Every {text}",), seconds)
+        for text, seconds in (
+            *(("5 s", 5.0), ("10 s", 10.0), ("30 s", 30.0), ("1 min", 60.0), ("2 min", 120.0)),
+            *(("5 min", 300.0), ("10 min", 600.0), ("30 min", 1800.0), ("1 h", 3600.0)),
+        )
+    ),
+)
+REPEATS = tuple(
+    Entry((f"{n} pictures",), n) for n in (2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
+)
 MAIN_MENU = tuple(
     Entry((label,), action=action)
     for label, action in (
         ("Take a picture", Action.SET),
+        ("Series", Action.SERIES),
         ("Captures", Action.CAPTURES),
         ("Camera", Action.OTHER),
         ("Settings", Action.SETTINGS),
@@ -91,10 +105,14 @@ KEPT: dict[str, tuple[Entry, ...]] = {
     "timer": TIMERS,
     "saver": SAVERS,
     "mains": MAINS,
+    "interval": INTERVALS,
+    "repeat": REPEATS,
 }
 """The fields of `Settings` that hold an index, with their entries."""
 CHANGEABLE = ("timer", "saver", "mains")
 """Those that the settings screen changes."""
+_OF_SERIES = ("repeat", "interval")
+"""Those that the screen of a series changes."""
 
 
 def rows(model: Model) -> tuple[Entry, ...]:
@@ -114,13 +132,28 @@ def rows(model: Model) -> tuple[Entry, ...]:
         case State.FRONT:
             return tuple(map(_point_entry, model.front))
         case State.SETTINGS:
-            return tuple(
-                Entry(KEPT[name][getattr(model.settings, name)].labels, name, Action.CHANGE)
-                for name in CHANGEABLE
-            )
+            return _changeable(model.settings, CHANGEABLE)
+        case State.SERIES:
+            start = Entry(("Start",), action=Action.START)
+            return (*_changeable(model.settings, _OF_SERIES), start)
         case State.MENU:
             return MAIN_MENU
     return KEPT.get(STATES[model.state].cursor, ())
+
+
+def _changeable(settings: Settings, names: tuple[str, ...]) -> tuple[Entry, ...]:
+    """Return an entry for each of these settings, which the enter key changes."""
+    return tuple(
+        Entry(KEPT[name][getattr(settings, name)].labels, name, Action.CHANGE) for name in names
+    )
+
+
+def series(model: Model) -> SeriesChoice:
+    """Return the series that was selected, each picture as the next capture would be."""
+    settings = model.settings
+    interval = INTERVALS[settings.interval].value
+    count = int(_number(REPEATS[settings.repeat].value))
+    return SeriesChoice(requested(model), count, None if interval is None else _number(interval))
 
 
 def _point_entry(point: Cost) -> Entry:

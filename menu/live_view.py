@@ -21,7 +21,7 @@ from camctl.interface.clock import VirtualClock
 from camctl.interface.controls import ExposureControls
 from camctl.interface.cycle import CyclingCamera
 from camctl.menu.data import Picture, Reading
-from camctl.menu.thumbnails import BINS, COLUMNS, ROWS
+from camctl.menu.thumbnails import BINS, COLUMNS, ROWS, focus_value
 
 if TYPE_CHECKING:  # a camera that does not stream does not load it
     from camctl.livestream.following import Look
@@ -111,6 +111,7 @@ class LiveView:
                 histogram=tuple(counts.tolist()),
                 picture=_picture(result),
                 rate=self._rate(),
+                focus=focus_value(result.layout.planes(result.sum)[0]),
             )
 
     def end(self) -> None:

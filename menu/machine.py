@@ -22,7 +22,7 @@ from camctl.menu.data import (
     Summary,
     Traced,
 )
-from camctl.menu.entries import CHANGEABLE, KEPT, TIMERS, choice, requested, rows, seconds
+from camctl.menu.entries import KEPT, TIMERS, choice, requested, rows, seconds, series
 from camctl.menu.model import Action, Goal, Model, State
 from camctl.menu.ports import Key
 from camctl.menu.tables import (
@@ -141,6 +141,7 @@ _ARGUMENTS: dict[Work, Callable[[Model], object]] = {
     Work.PLAN: requested,
     Work.SHOOT: lambda model: model.plan,
     Work.RESUME: lambda model: model.captures[model.cursor],
+    Work.SERIES: series,
     Work.LOOK: lambda model: model.captures[model.cursor],
 }
 
@@ -211,7 +212,8 @@ def _recommended(front: tuple[Cost, ...]) -> int:
 
 
 def _with_changed_setting(model: Model) -> Model:
-    name = CHANGEABLE[selected(model)]
+    name = rows(model)[selected(model)].value
+    assert isinstance(name, str)  # the entries of `CHANGE` have the name of a setting
     index = (getattr(model.settings, name) + 1) % len(KEPT[name])
     return replace(model, settings=_with_index(model.settings, name, index))
 

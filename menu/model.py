@@ -54,6 +54,9 @@ class State(StrEnum):
     PAST = auto()
     RESUMING = auto()
     RESUME_FAILED = auto()
+    SERIES = auto()
+    SERIES_SHOOTING = auto()
+    SERIES_FAILED = auto()
     SETTINGS = auto()
     ABOUT = auto()
     SAVER = auto()
@@ -80,6 +83,8 @@ class Action(Enum):
     FRONT = "Time / accuracy"
     RESUME = "Resume"
     CHANGE = "Change"
+    SERIES = "Series"
+    START = "Start"
     QUIT = "Quit"
 
 

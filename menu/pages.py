@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import camctl
-from camctl.menu.data import Plan, Summary
+from camctl.menu.data import Plan, Reading, Summary
 from camctl.menu.entries import RESPONSES, requested
 from camctl.menu.model import Model
 from camctl.menu.ports import Line, Screen
@@ -54,6 +54,7 @@ def idle(model: Model) -> Screen:
     count = "" if asked.count is None else f" x{asked.count}"
     lines.append(Line((f"{name}, {wide},{count or ' auto'}", f"{name[:6]} {narrow}{count}"[:14])))
     if reading is not None:
+        lines += _stated(reading)
         free = format_bytes(reading.free_bytes)
         lines.append(Line((f"Free space {free}", f"Free {free}")))
     return replace(
@@ -63,6 +64,19 @@ def idle(model: Model) -> Screen:
         histogram=() if reading is None else reading.histogram,
         picture=None if reading is None else reading.picture,
     )
+
+
+def _stated(reading: Reading) -> list[Line]:
+    """Return focus, and battery and card where the camera states them."""
+    lines = []
+    if (percent := reading.focus_percent) is not None:
+        lines.append(Line((f"Focus {percent} % of the best seen", f"Focus {percent} %")))
+    battery, images = reading.battery_percent, reading.free_images
+    if battery is not None:
+        lines.append(Line((f"Battery {battery} %",)))
+    if images is not None:
+        lines.append(Line((f"{images} pictures free on the card", f"Card {images} free")))
+    return lines
 
 
 def failure(model: Model) -> Screen:

@@ -19,6 +19,7 @@ from camctl.menu.data import (
     Plan,
     Progress,
     Reading,
+    SeriesChoice,
     Settings,
     Summary,
     Traced,
@@ -186,6 +187,14 @@ class Job(Protocol):
         cancelled: Callable[[], bool],
     ) -> Summary:
         """Shoot the missing frames of a capture, as `shoot` does."""
+
+    def series(
+        self,
+        series: SeriesChoice,
+        on_progress: Callable[[Progress], None],
+        cancelled: Callable[[], bool],
+    ) -> Summary:
+        """Take a series, as `shoot` does; return the last complete picture and what to know."""
 
     def captures(self) -> tuple[Past, ...]:
         """Return the captures in the folder, the newest first."""

@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 from camctl.menu import pages
 from camctl.menu.data import Cost
 from camctl.menu.diagram import KEYS
-from camctl.menu.entries import RESPONSES, TIMERS, requested, rows, seconds
+from camctl.menu.entries import RESPONSES, TIMERS, requested, rows, seconds, series
 from camctl.menu.machine import choices, selected
 from camctl.menu.model import Action, Goal, Model, State
 from camctl.menu.ports import Line, Mood, Panel, Screen
@@ -24,6 +24,7 @@ _WAITING = {
     State.PLANNING: ("Measuring the light", "Measuring"),
     State.SHOOTING: ("Starting",),
     State.RESUMING: ("Reading frames", "Reading"),
+    State.SERIES_SHOOTING: ("Measuring the light", "Measuring"),
     State.CANCELLING: ("Keeping the frames", "Keeping frames"),
     State.SEARCHING: ("Asking each backend", "Asking"),
     State.BROWSING: ("Reading the folder", "Folder"),
@@ -136,9 +137,17 @@ def _list_detail(model: Model, index: int) -> Line | None:
         return Line(_point_detail(model.front[index]))
     if model.state is State.CAMERAS:
         return Line((model.cameras[index].id, model.cameras[index].id[-16:]))
-    if model.state is State.SETTINGS:
-        return Line(("enter: change",))
+    if model.state in (State.SETTINGS, State.SERIES):
+        starts = rows(model)[index].action is Action.START
+        return Line((_series_text(model), "enter: start") if starts else ("enter: change",))
     return None
+
+
+def _series_text(model: Model) -> str:
+    asked = series(model)
+    if asked.interval_s is None:
+        return "enter: start, one after the other"
+    return f"enter: start, {format_short_time((asked.count - 1) * asked.interval_s)} in all"
 
 
 def _point_detail(point: Cost) -> tuple[str, ...]:

@@ -52,6 +52,7 @@ class Work(Enum):
     PLAN = auto()
     SHOOT = auto()
     RESUME = auto()
+    SERIES = auto()
     FIND = auto()
     BROWSE = auto()
     LOOK = auto()
@@ -161,6 +162,11 @@ STATES: dict[State, StateSpec] = {
     State.PAST: StateSpec(_P, ("Capture",), (Action.BACK, Action.MENU)),
     State.RESUMING: StateSpec(_W, ("Resuming",), work=Work.RESUME, mood=_BUSY),
     State.RESUME_FAILED: StateSpec(_P, ("Resume failed",), _FAILURE, mood=_ERROR),
+    State.SERIES: StateSpec(_L, ("Series",)),
+    State.SERIES_SHOOTING: StateSpec(_W, ("Series runs", "Series"), work=Work.SERIES, mood=_BUSY),
+    State.SERIES_FAILED: StateSpec(
+        _P, ("Series failed",), (*_FAILURE, Action.CAPTURES), mood=_ERROR
+    ),
     State.SETTINGS: StateSpec(_L, ("Settings",)),
     State.ABOUT: StateSpec(_P, ("About",), (Action.BACK,)),
     State.SAVER: StateSpec(_W, ("Press a key",)),
@@ -271,6 +277,7 @@ TRANSITIONS: dict[State, dict[Symbol, State]] = {
             Action.SET: _S.RESPONSE,
             Action.CAPTURES: _S.BROWSING,
             Action.OTHER: _S.SEARCHING,
+            Action.SERIES: _S.SERIES,
             Action.SETTINGS: _S.SETTINGS,
             Action.ABOUT: _S.ABOUT,
             Action.QUIT: _S.CONFIRM,
@@ -287,6 +294,14 @@ TRANSITIONS: dict[State, dict[Symbol, State]] = {
     _S.PAST: _page(_S.PAST, _S.CAPTURES, {Action.MENU: _S.MENU}),
     _S.RESUMING: _capture(_S.RESUMING, _S.CANCELLING, _S.RESUME_FAILED),
     _S.RESUME_FAILED: _failure(_S.RESUME_FAILED, _S.RESUMING, _S.BROWSING),
+    _S.SERIES: _list(
+        _S.SERIES,
+        _S.MENU,
+        _S.SERIES,
+        {Action.CHANGE: _S.SERIES, Action.START: _S.SERIES_SHOOTING},
+    ),
+    _S.SERIES_SHOOTING: _capture(_S.SERIES_SHOOTING, _S.CANCELLING, _S.SERIES_FAILED),
+    _S.SERIES_FAILED: _failure(_S.SERIES_FAILED, _S.SERIES_SHOOTING, _S.SERIES),
     _S.SETTINGS: _list(_S.SETTINGS, _S.MENU, _S.SETTINGS, {Action.CHANGE: _S.SETTINGS}),
     _S.ABOUT: _page(_S.ABOUT, _S.MENU, {}),
     _S.SAVER: dict.fromkeys(Key, _S.IDLE),

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 
 from camctl.errors import CamctlError, InterruptedCaptureError
-from camctl.menu.data import Choice, Past, Plan, Settings
+from camctl.menu.data import Choice, Past, Plan, SeriesChoice, Settings
 from camctl.menu.ports import Job
 from camctl.menu.tables import Cancel, Effect, Event, Outcome, Start, Work
 from camctl.messages.menu import error_text
@@ -16,7 +16,7 @@ from camctl.system.interrupts import uninterrupted
 _STOP_WAIT_S = 10.0
 """Time that the camera has to finish its frame after the menu has ended, s."""
 
-_CAPTURES = (Work.SHOOT, Work.RESUME)
+_CAPTURES = (Work.SHOOT, Work.RESUME, Work.SERIES)
 
 
 def failure_text(error: Exception) -> str:
@@ -152,6 +152,8 @@ class Worker:
                 return job.shoot(argument, part, cancelled)
             case Work.RESUME, Past():
                 return job.resume(argument, part, cancelled)
+            case Work.SERIES, SeriesChoice():
+                return job.series(argument, part, cancelled)
             case Work.FIND, _:
                 return job.find_cameras()
             case Work.BROWSE, _:

@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 
 from camctl.captures.plan import plan_capture
-from camctl.captures.sequence import OnProgress
+from camctl.captures.sequence import Cancelled, OnProgress
 from camctl.captures.sequencer import capture, resume
 from camctl.exposure.table import ExposureTable
 from camctl.interface.camera import Camera
@@ -31,6 +31,7 @@ class CameraSets:
         journal: of the series: what is asked of each set
         progress: called before each frame and stage of a set
         date: returns date and time, as `SeriesTools.date`
+        cancelled: called all the time while frames are awaited; if it returns True the set stops
     """
 
     def __init__(
@@ -39,9 +40,10 @@ class CameraSets:
         journal: SeriesJournal,
         progress: OnProgress | None = None,
         date: Callable[[], datetime] = datetime.now,
+        cancelled: Cancelled | None = None,
     ) -> None:
         self._camera, self._journal, self._progress = camera, journal, progress
-        self._date = date
+        self._date, self._cancelled = date, cancelled
         self._table: ExposureTable | None = None
         if journal.table_file is not None:
             self._table = ExposureTable.load(Path(journal.table_file), camera.controls.levels)
@@ -74,7 +76,9 @@ class CameraSets:
         if (directory / REPORT).exists():
             if not isinstance(read_report_file(directory), UnfinishedCapture):
                 return read_report(directory)  # only the journal was not written any more
-            return resume(self._camera, directory, progress=self._progress)
+            return resume(
+                self._camera, directory, progress=self._progress, cancelled=self._cancelled
+            )
         begun = self._date()  # before metering, as in the journal
         plan = self._plan or self._new_plan()
         if self._journal.plan is None:
@@ -86,6 +90,7 @@ class CameraSets:
             plan=plan,
             source=self._journal.source,
             progress=self._progress,
+            cancelled=self._cancelled,
             taken_at=begun,
         )
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from camctl.exposure.light import SHOWN_STOPS, Metering, counts_in_stops
 from camctl.interface.camera import Frame
 from camctl.interface.controls import ExposureControls, Layout
+from camctl.menu.thumbnails import gradient
 from camctl.system.picture_operations import jpeg, opencv, png, reduced_by_area
 
 if TYPE_CHECKING:
@@ -171,14 +172,14 @@ def rendered(view: View, look: Look) -> tuple[bytes, str, float]:
     """Return a picture file, its media type, and the focus value of what it shows."""
     codes = _cropped(view, look)
     picture = _colours(codes, view.layout)
-    sharpness, gradient = _focus(picture)
+    sharpness, lengths = _focus(picture)
     paint: list[tuple[NDArray[np.bool_], tuple[int, int, int]]] = []
     if look.clipping:
         paint.append(((picture == _SATURATED).any(axis=2), (255, 40, 40)))
         paint.append(((picture == _TOO_DARK).all(axis=2), (60, 90, 255)))
     if look.peaking:
-        least = max(_LEAST_EDGE, _EDGE_FACTOR * float(np.median(gradient)))
-        paint.append((gradient > least, (90, 255, 120)))
+        least = max(_LEAST_EDGE, _EDGE_FACTOR * float(np.median(lengths)))
+        paint.append((lengths > least, (90, 255, 120)))
     for where, colour in paint:
         picture[where] = colour
     rows, columns = picture.shape[:2]
@@ -225,16 +226,7 @@ def _colours(codes: Codes, layout: Layout) -> Codes:
 
 
 def _focus(picture: Codes) -> tuple[float, NDArray[np.float32]]:
-    """Return the Tenengrad and the length of the gradient of each pixel.
-
-    Tenengrad is the mean square of the gradient by the Sobel operator, over brightness 0 to 1:
-    Pertuz, Puig and Garcia (2013), "Analysis of focus measure operators for shape-from-focus",
-    Pattern Recognition 46(5), 1415-1432.  It says which of two pictures of one thing is sharper.
-    """
+    """Return the Tenengrad over brightness 0 to 1, and the length of the gradient of each pixel."""
     luma = picture.mean(axis=2, dtype=np.float32) if picture.shape[2] > 1 else picture[..., 0]
-    padded = np.pad(luma, 1, mode="edge")
-    rows = padded[:-2] + 2 * padded[1:-1] + padded[2:]
-    columns = padded[:, :-2] + 2 * padded[:, 1:-1] + padded[:, 2:]
-    across, down = rows[:, 2:] - rows[:, :-2], columns[2:] - columns[:-2]
-    gradient = np.hypot(across, down).astype(np.float32)
-    return float(np.mean(np.square(gradient / 255.0))), gradient
+    lengths = gradient(np.asarray(luma, np.float32))
+    return float(np.mean(np.square(lengths / 255.0))), lengths

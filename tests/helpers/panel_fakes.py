@@ -18,6 +18,7 @@ from camctl.menu.data import (
     Plan,
     Progress,
     Reading,
+    SeriesChoice,
     Settings,
     Summary,
     Traced,
@@ -92,6 +93,7 @@ class FakeJob:
         self.predicted: list[Choice] = []
         self.traced: list[Choice] = []
         self.resumed: list[Past] = []
+        self.series_taken: list[SeriesChoice] = []
         self.saved: list[Settings] = []
         self.opened: list[str] = []
         self.running = 0  # captures at the same time
@@ -170,6 +172,17 @@ class FakeJob:
         self.resumed.append(past)
         self._call_before("resume")
         return self._capture(2, on_progress, cancelled)
+
+    def series(
+        self,
+        series: SeriesChoice,
+        on_progress: Callable[[Progress], None],
+        cancelled: Callable[[], bool],
+    ) -> Summary:
+        """Do as `shoot` does, with the pictures in place of frames."""
+        self.series_taken.append(series)
+        self._call_before("series")
+        return self._capture(series.count, on_progress, cancelled)
 
     def _capture(
         self, count: int, on_progress: Callable[[Progress], None], cancelled: Callable[[], bool]

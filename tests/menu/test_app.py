@@ -160,7 +160,7 @@ class Now:
 
 def test_another_camera_can_be_chosen() -> None:
     job = FakeJob()
-    script: Script = [*TO_MENU, ("Take", Key.DOWN), (">Captures", Key.DOWN)]
+    script: Script = [*TO_MENU, ("Take", Key.DOWN), (">Series", Key.DOWN), (">Captures", Key.DOWN)]
     script += [(">Camera", Key.ENTER), (f">{CAMERA.name}", Key.DOWN)]
     script += [(f">{OTHER_CAMERA.name}", Key.ENTER), *quit_from("[Set]")[1:]]
     run(ScriptedPanel(script), lambda: job)
@@ -170,15 +170,37 @@ def test_another_camera_can_be_chosen() -> None:
 
 def test_interrupted_capture_is_resumed() -> None:
     job = FakeJob()
-    script: Script = [*TO_MENU, ("Take", Key.DOWN), (">Captures", Key.ENTER)]
+    script: Script = [*TO_MENU, ("Take", Key.DOWN), (">Series", Key.DOWN), (">Captures", Key.ENTER)]
     script += [("0002-1122-0830", Key.ENTER), *quit_from("Done")]
     run(ScriptedPanel(script), lambda: job)
     assert [past.name for past in job.resumed] == ["capture-0002-20261122-083000"]
 
 
+def test_series_is_chosen_and_taken_with_the_keys() -> None:
+    job = FakeJob()
+    script: Script = [*TO_MENU, ("Take", Key.DOWN), (">Series", Key.ENTER)]
+    script += [(">10 pictures", Key.ENTER), (">20 pictures", Key.DOWN), (">Every 1 min", Key.ENTER)]
+    script += [(">Every 2 min", Key.DOWN), (">Start", Key.ENTER), *quit_from("Done")]
+    run(ScriptedPanel(script), lambda: job)
+    (taken,) = job.series_taken
+    assert (taken.count, taken.interval_s) == (20, 120.0)
+    assert job.saved[-1].repeat == 3
+
+
+def test_series_is_cancelled_with_the_exit_key() -> None:
+    job = FakeJob()
+    job.frame_may_end.clear()
+    script: Script = [*TO_MENU, ("Take", Key.DOWN), (">Series", Key.ENTER)]
+    script += [("pictures", Key.DOWN), (">Every", Key.DOWN), (">Start", Key.ENTER)]
+    script += [("0/10", Key.EXIT), *quit_from("Cancelled")]
+    run(ScriptedPanel(script), lambda: job)
+    assert len(job.series_taken) == 1
+    assert job.running == 0
+
+
 def test_settings_are_kept_as_they_are_changed() -> None:
     job = FakeJob()
-    script: Script = [*TO_MENU, *[("Menu", Key.DOWN)] * 3, (">Settings", Key.ENTER)]
+    script: Script = [*TO_MENU, *[("Menu", Key.DOWN)] * 4, (">Settings", Key.ENTER)]
     script += [("timer 10 s", Key.ENTER), ("timer 30 s", Key.EXIT), ("Menu", Key.EXIT)]
     run(ScriptedPanel([*script, *quit_from("[Set]")[1:]], (60, 16)), lambda: job)
     assert job.saved[0] == replace(Settings(), timer=2)

@@ -14,18 +14,28 @@ from panel_fakes import TO_REVIEW, Script, ScriptedPanel, quit_from
 
 import camctl
 from camctl import read_report
-from camctl.errors import CaptureError, DataError, StorageError, UsageError
+from camctl.captures.series_sets import CameraSets
+from camctl.errors import (
+    CaptureError,
+    DataError,
+    InterruptedCaptureError,
+    StorageError,
+    UsageError,
+)
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import Frame
 from camctl.interface.controls import ExposureSetting
 from camctl.menu.app import run
 from camctl.menu.camera_job import CameraJob
 from camctl.menu.capture_list import list_captures, next_folder
-from camctl.menu.data import Choice, Past, Settings
+from camctl.menu.data import Choice, Past, Reading, SeriesChoice, Settings
 from camctl.menu.entries import choice, requested
-from camctl.menu.model import Goal, Model
+from camctl.menu.layout import grid
+from camctl.menu.model import Goal, Model, State
 from camctl.menu.ports import Key
+from camctl.menu.screens import screen
 from camctl.menu.studio.sight import Sight
+from camctl.menu.thumbnails import focus_value
 from camctl.sim.camera import Faults, SimulatedCamera
 from camctl.sim.scenes.scene import load_scene
 from camctl.sim.sensors.sensor import load_sensor
@@ -297,3 +307,75 @@ def test_result_shows_what_is_darker_than_the_range(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"preview\.png: it is larger than 25 MiB"):
         job.look(past)
     job.close()
+
+
+SERIES = SeriesChoice(Choice("log", 1000.0, count=2), 3, 30.0)
+
+
+def test_series_is_taken_at_its_interval_and_listed_by_its_last_picture(tmp_path: Path) -> None:
+    camera = RecordingCamera()
+    job = job_with(camera, tmp_path)
+    seen: list[tuple[int, int]] = []
+    began_s = camera.clock.now()
+    summary = job.series(SERIES, lambda each: seen.append((each.done, each.total)), lambda: False)
+    (directory,) = tmp_path.glob("series-0001*")
+    assert summary.folder == str(directory / "set-0003")
+    assert summary.notes[0] == f"3 of 3 pictures are in {directory}"
+    assert camera.clock.now() - began_s >= 60
+    assert seen[0] == (0, 3)
+    assert seen[-1] == (2, 3)
+    shot = [setting for setting in camera.lists if len(setting) == 2]
+    assert len(shot) == 3
+    assert len(set(shot)) == 1, "the light is metered once"
+    (past,) = job.captures()
+    assert past == Past(f"{directory.name}/set-0003", is_complete=True)
+    assert job.look(past).folder == summary.folder
+    assert next_folder(tmp_path, datetime(2026, 11, 25)).name.startswith("capture-0002")
+
+
+def test_series_that_is_cancelled_keeps_its_pictures(tmp_path: Path) -> None:
+    camera = RecordingCamera()
+    job = job_with(camera, tmp_path)
+    done: list[int] = []
+    with pytest.raises(InterruptedCaptureError, match=r"1 of 3 sets"):
+        job.series(SERIES, lambda each: done.append(each.done), lambda: 1 in done)
+    (directory,) = tmp_path.glob("series-0001*")
+    assert (directory / "set-0001" / "report.json").exists()
+    assert not (directory / "set-0003").exists()
+
+
+def test_series_without_a_picture_is_a_failure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise CaptureError("the flash did not fire")
+
+    monkeypatch.setattr(CameraSets, "take", fail)
+    job = job_with(RecordingCamera(), tmp_path)
+    with pytest.raises(
+        CaptureError, match="none of 3 pictures is complete: the flash did not fire"
+    ):
+        job.series(SERIES, lambda _: None, lambda: False)
+
+
+def test_ready_shows_focus_battery_and_card_where_they_are_stated() -> None:
+    reading = Reading(focus_percent=87, battery_percent=64, free_images=512)
+    for size, texts in (
+        (
+            (60, 16),
+            ("Focus 87 % of the best seen", "Battery 64 %", "512 pictures free on the card"),
+        ),
+        ((16, 12), ("Focus 87 %", "Battery 64 %", "Card 512 free")),
+    ):
+        lines = grid(screen(Model(state=State.IDLE, reading=reading)), *size).lines
+        assert [text for text in texts if any(text in line for line in lines)] == list(texts)
+    lines = grid(screen(Model(state=State.IDLE, reading=Reading())), 60, 16).lines
+    assert not [line for line in lines if "Focus" in line or "Battery" in line or "card" in line]
+
+
+def test_focus_falls_where_the_picture_is_blurred() -> None:
+    sharp = np.indices((300, 300)).sum(axis=0) // 8 % 2 * 1000.0 + 100
+    blurred = (sharp[:-4, :-4] + sharp[2:-2, 2:-2] + sharp[4:, 4:]) / 3
+    assert focus_value(blurred) < 0.8 * focus_value(sharp)
+    assert focus_value(3 * sharp) == pytest.approx(focus_value(sharp), rel=1e-5)
+    assert focus_value(np.zeros((4, 4))) == 0

@@ -32,7 +32,7 @@ from camctl.menu.tables import STATES, Cancel, Effect, Event, Outcome, Start, Wo
 from camctl.menu.worker import Worker
 
 SIZE = (20, 4)
-CAPTURES = (Work.SHOOT, Work.RESUME)
+CAPTURES = (Work.SHOOT, Work.RESUME, Work.SERIES)
 
 
 class HandWorker:

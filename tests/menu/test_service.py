@@ -69,12 +69,27 @@ def test_watchdog_hears_twice_in_each_interval(
     assert received() == []
 
 
-def test_the_unit_has_few_rights(tmp_path: Path) -> None:
+PANELS = (
+    "framebuffer:/dev/fb0",
+    "drm:/dev/dri/card0",
+    "cfa635:/dev/ttyUSB0",
+    "hd44780:/dev/i2c-1,at=0x27,size=20x4,turn=17:18,enter=27",
+    "luma:st7789,interface=spi,gpio-data-command=24,gpio-reset=25",
+    "web:0.0.0.0:8080",
+    "mqtt:broker.local",
+)
+
+
+@pytest.mark.parametrize("panel", PANELS)
+def test_the_unit_has_few_rights(tmp_path: Path, panel: str) -> None:
     program = shutil.which("systemd-analyze")
     if program is None or "--offline" not in subprocess.getoutput(f"{program} --help"):
         pytest.skip("needs systemd-analyze of systemd 250 or later")
     unit = tmp_path / "camctl-menu.service"
-    unit.write_bytes((Path(menu.__path__[0]) / unit.name).read_bytes())
+    text = (Path(menu.__path__[0]) / unit.name).read_text()
+    assert f"MENU_PANEL={PANELS[0]}\n" in text
+    text = text.replace(PANELS[0], panel)
+    unit.write_text(text.replace("dialout plugdev", "dialout plugdev i2c spi gpio"))
     for command in (("verify",), ("security", "--offline=true", "--threshold=30")):
         ran = subprocess.run(
             ["systemd-analyze", *command, str(unit)], capture_output=True, text=True, check=False
