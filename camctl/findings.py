@@ -52,7 +52,8 @@ CODES: Final[dict[str, str]] = {
     "picture_white": "share of the samples that are saturated in every exposure",
     # The picture: movement, light that spread, noise.
     "moved": "share of the samples that contradict others: from `low`, without those that noise"
-    " marks at most; `place` is the one with most of them",
+    " marks at most; `place` is the one with most of them; `frames` are those of which"
+    " one shows each such place alone",
     "light_spread": "share of the samples that are too bright by light that spread, or that moved",
     "noise_differs": "effective levels that the pixels show; the known noise predicts others",
     "noise_unknown": "share of the samples whose noise the frames do not show",

@@ -30,6 +30,8 @@ from camctl.model.noise import FrameNoise, MeasuredNoise
 from camctl.model.response.desired import DesiredResponse
 from camctl.pictures.details import PictureDetails, ShownFrame
 from camctl.pictures.frame_light import FrameLight, Quality, frame_light, parts_of
+from camctl.pictures.ghost_choice import find_ghosts
+from camctl.pictures.ghosts import Ghosts
 from camctl.pictures.light_shares import LightShares, light_shares
 from camctl.pictures.render import Rendering, Tables
 from camctl.records.frame import ExposureRatio, FrameRecord, StoredFrame
@@ -104,6 +106,17 @@ def complete(
     light = _light(shot, checks, controls)
     quality = light.quality(checks.samples)
     achieved = achieved.model_copy(update={"measured": measured, "gain_over_sum": quality.gain})
+    ghosts = None
+    if unfinished.request.deghost and movement is not None:
+        ghosts = find_ghosts(
+            movement,
+            store.rows,
+            total,
+            light,
+            shot.exposures,
+            checks.samples,
+            controls.black,
+        )
     return_free_memory()
     rendering = Rendering(
         controls.layout,
@@ -115,6 +128,7 @@ def complete(
         controls.hot_pixels,
         movement,
         controls.colour,
+        ghosts,
     )
     details = _details(unfinished, shot, checks, controls, outside, movement)
     files = store.keep_pictures(total, rendering, details)
@@ -126,7 +140,8 @@ def complete(
                 *unfinished.plan.findings,
                 *unfinished.findings,
                 *_light_findings(unfinished, total, controls, achieved),
-                *_evidence_findings(unfinished, movement, achieved, repeatable=controls.repeatable),
+                *_movement_findings(unfinished, movement, ghosts, repeatable=controls.repeatable),
+                *_measured_findings(achieved),
                 *_noise_findings(quality),
             ],
             "taken_at": details.taken_at,
@@ -340,21 +355,38 @@ def _light_findings(
     )
 
 
-def _evidence_findings(
+def _movement_findings(
     unfinished: UnfinishedCapture,
     movement: Movement | None,
-    achieved: Achieved,
+    ghosts: Ghosts | None,
     *,
     repeatable: bool,
 ) -> list[Finding]:
-    """Return what the frames say of movement, light that spread, and the camera's known noise."""
-    found = []
-    if movement is not None:
-        found = movement.found.findings
-        spread = movement.found.spread
-        found += spread_findings(unfinished.request, unfinished.plan, spread, repeatable=repeatable)
+    """Return what the frames say of movement, and of light that spread."""
+    if movement is None:
+        return []
+    found = movement.found.findings
+    if ghosts is not None:
+        found = [
+            each.model_copy(
+                update={
+                    "frames": ghosts.frames,
+                    "details": each.details | {"single": ghosts.share},
+                    "remedies": {"deghost": "none"},
+                }
+            )
+            for each in found
+        ]
+    spread = movement.found.spread
+    return found + spread_findings(
+        unfinished.request, unfinished.plan, spread, repeatable=repeatable
+    )
+
+
+def _measured_findings(achieved: Achieved) -> list[Finding]:
+    """Return that the frames contradict the camera's known noise."""
     measured, predicted = achieved.measured, achieved.effective_levels
-    if achieved.noise and measured is not None and measured.contradicts(predicted):
-        value = measured.effective_levels
-        found.append(Finding(code="noise_differs", value=value, details={"predicted": predicted}))
-    return found
+    if not achieved.noise or measured is None or not measured.contradicts(predicted):
+        return []
+    value = measured.effective_levels
+    return [Finding(code="noise_differs", value=value, details={"predicted": predicted})]

@@ -86,6 +86,12 @@ class SourceOptions:
         Name("colours of the pictures", ("bt709", "camera")),
         default="bt709",
     )
+    deghost: str | None = declare(
+        "--deghost none|single",
+        "How places are shown where something moved: as all photographs do together, or as a "
+        "single one does.  [default: single, but none with --colour camera]",
+        Name("way to show what moved", ("none", "single")),
+    )
 
 
 _source_options = options.option_group(SourceOptions, "source")

@@ -271,6 +271,7 @@ class CaptureRequest(Goal):
             are more certain than what the camera states
         mains_hz: frequency of the mains that feeds the lamps (50 or 60); None: daylight
         spend_shutter: meter with full exposures on a camera that has no preview
+        deghost: show places where things moved as one of the frames shows them
 
     Raises:
         UsageError: a value is out of its range, or two fields contradict each other
@@ -283,6 +284,7 @@ class CaptureRequest(Goal):
     estimate_ratios: bool = False
     mains_hz: float | None = None
     spend_shutter: bool = False
+    deghost: bool = False
 
     def __post_init__(self) -> None:
         self._set("ratios", _plain_numbers(self.ratios))

@@ -21,6 +21,7 @@ OPTIONS: Final[dict[str, str]] = {
     "compensation_stops": "--compensation",
     "count": "-n",
     "curve": "--curve",
+    "deghost": "--deghost",
     "desired_curve": "--response",
     "directory": "-o",
     "dynamic_range": "--range",

@@ -191,13 +191,17 @@ def _light_spread(finding: Finding) -> str:
 
 
 def _moved(finding: Finding) -> str:
-    place = finding.place
+    place, details = finding.place, finding.details
     assert place is not None  # as where the finding was made
+    where = f"columns {place.left} to {place.right - 1} and rows {place.top} to {place.bottom - 1}"
+    what = f"{finding.value:.2%} of the samples contradict other frames"
+    if (single := details.get("single")) is not None:
+        numbers = ", ".join(str(frame + 1) for frame in finding.frames)
+        one = "frame" if len(finding.frames) == 1 else "one of the frames"
+        what = f"there, and around it, {single:.1%} of the picture is from {one} {numbers} alone"
     return (
-        f"something moved, or its light changed, in {finding.details['area']:.1%} of the picture, "
-        f"most of it in columns {place.left} to {place.right - 1} and rows {place.top} to "
-        f"{place.bottom - 1}: {finding.value:.2%} of the samples contradict other frames (mask bit "
-        "4, marked in the contact sheet)"
+        f"something moved, or its light changed, in {details['area']:.1%} of the picture, "
+        f"most of it in {where}: {what} (mask bit 4, marked in the contact sheet)"
     )
 
 

@@ -111,6 +111,7 @@ def plan_merge(
     files: Sequence[str | os.PathLike[str]], request: CaptureRequest, options: PhotographOptions
 ) -> MergePlan:
     """Read photographs, and choose those that serve a picture; arguments as for `merge`."""
+    request = replace(request, deghost=request.deghost or options.removes_ghosts)
     is_auto = request.dynamic_range == AUTO
     if is_auto:
         # Until the light of the photographs gives it.

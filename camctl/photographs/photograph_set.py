@@ -70,6 +70,9 @@ class PhotographOptions:
             whole pixels; "full": by a homography, which interpolates; "none"
         colour: of the pictures: "bt709": linear BT.709, with the white balance of the first
             photograph, where the files say what their colours are; "camera": as in the files
+        deghost: "single": places where things moved are shown as one of the photographs shows
+            them; "none": as all do; None: "single", but "none" with the colours of the camera,
+            which are for measuring
     """
 
     times: tuple[float | Fraction, ...] | None = None
@@ -80,6 +83,12 @@ class PhotographOptions:
     mask: str | None = None
     align: str = "shift"
     colour: str = "bt709"
+    deghost: str | None = None
+
+    @property
+    def removes_ghosts(self) -> bool:
+        """Whether places where things moved are shown as one of the photographs shows them."""
+        return self.colour != "camera" if self.deghost is None else self.deghost == "single"
 
     @property
     def are_exact(self) -> bool:

@@ -24,6 +24,7 @@ from camctl.model.inverse import Posterior
 from camctl.model.response.desired import DesiredResponse
 from camctl.pictures.colour import deviation_in_bt709, in_gamut, to_bt709
 from camctl.pictures.frame_light import FrameLight
+from camctl.pictures.ghosts import Ghosts
 from camctl.system.picture_operations import channels_apart, channels_together, correlated, dilated
 
 #: Values of a mask: within the range, light below the range, saturated in every frame.
@@ -230,6 +231,7 @@ class Rendering:
         movement: where the frames contradict each other; such samples have the mask
             `CONTRADICTING`
         colour: turns R, G and B into linear BT.709; None: they stay as they are
+        ghosts: places that are from single frames, since things moved; None: there are none
     """
 
     layout: Layout
@@ -241,6 +243,7 @@ class Rendering:
     hot_pixels: tuple[tuple[int, int], ...] = ()
     movement: Movement | None = None
     colour: CameraColour | None = None
+    ghosts: Ghosts | None = None
 
     @property
     def full(self) -> float:
@@ -307,24 +310,58 @@ class Rendering:
             marks.append(self.movement.rows(first, last) * np.uint8(CONTRADICTING))
         frames = [self.frames(place, slice(first, last)) for place in range(self.count)]
         estimate, deviation = self.light.rows(frames, sums)
-        bare = self._bare(estimate, sums, shown, None if hot is None else hot[first:last])
+        mask, moved = self._values("mask", sums), None
+        part = slice(first, last)
+        marked = None if hot is None else hot[part]
+        if self.ghosts is not None:
+            estimate, deviation, moved = self.ghosts.replaced(frames, part, estimate, deviation)
+            mask[moved] = self._single_mask(estimate[moved], deviation[moved])
+        bare = self._bare(estimate, sums, shown, marked)
         if self.layout.is_mosaic:
             inner = slice(rows.start - first, rows.stop - first)
             found = estimate, bare, deviation
-            strip = self._mosaic_strip(sums, shown, found, marks, first, inner)
+            coded = self._coded(shown, marked, frames, part)
+            strip = self._mosaic_strip(mask, coded, found, marks, first, inner)
             return replace(strip, mosaic=bare[inner])
-        mask = self._look_up("mask", channels_apart(sums))
         for more in marks:
-            mask = tuple(map(np.bitwise_or, mask, channels_apart(more)))
+            mask |= more
+        masks = channels_apart(mask)
         if self._converts:
-            coded = self._look_up("shown", channels_apart(shown))
+            coded = self._coded(shown, marked, frames, part)
             lights = channels_apart(estimate), channels_apart(bare), channels_apart(deviation)
-            return self._converted(*lights, mask, coded)
+            return self._converted(*lights, masks, channels_apart(coded))
         irradiance = tuple(_rounded(each, self._bits) for each in channels_apart(estimate))
         light = irradiance if bare is estimate else channels_apart(bare)
-        code = channels_together(self._look_up("code", channels_apart(shown)))
+        code = self._values("code", shown)
+        if moved is not None and moved.any():
+            code[moved] = encode(self.desired, self._coded(shown, marked, frames, part)[moved])
         errors = tuple(_rounded(each, _DEVIATION_BITS) for each in channels_apart(deviation))
-        return Strip(irradiance, light, errors, mask, code)
+        return Strip(irradiance, light, errors, masks, code)
+
+    def _coded(
+        self,
+        shown: NDArray[np.unsignedinteger],
+        hot: NDArray[np.uint8] | None,
+        frames: list[Pixels],
+        part: slice,
+    ) -> NDArray[np.float32]:
+        """Return the irradiance that the image shows in a part of the rows, in a frame's shape."""
+        coded = self._values("shown", shown)
+        if self.ghosts is None:
+            return np.asarray(coded)
+        certain = np.zeros_like(coded)
+        found, _, moved = self.ghosts.replaced(frames, part, coded, certain, scale=self.light.unit)
+        if hot is not None:  # they have the light of their neighbours
+            moved &= hot.reshape(*moved.shape, -1).max(axis=2) == 0
+        coded[moved] = found[moved]
+        return np.asarray(coded)
+
+    def _single_mask(
+        self, light: NDArray[np.float32], deviation: NDArray[np.float32]
+    ) -> NDArray[np.uint8]:
+        """Return the mask of light that single frames show."""
+        dark = light * np.float32(self.light.unit) < np.float32(self.desired.e_min)
+        return np.where(np.isinf(deviation), SATURATED, np.where(dark, DARK, GOOD)).astype(np.uint8)
 
     @property
     def _converts(self) -> bool:
@@ -380,8 +417,8 @@ class Rendering:
 
     def _mosaic_strip(
         self,
-        sums: NDArray[np.unsignedinteger],
-        shown: NDArray[np.unsignedinteger],
+        values: NDArray[np.uint8],
+        coded: NDArray[np.float32],
         light: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
         marks: list[NDArray[np.uint8]],
         first: int,
@@ -389,7 +426,8 @@ class Rendering:
     ) -> Strip:
         """Return the `inner` rows of these of a mosaic, which begin at row `first` of the frame.
 
-        `light` is irradiance, the same without hot pixels, and its standard deviation.
+        `values` are the mask of the samples, `coded` the irradiance of the image; `light` is
+        irradiance, the same without hot pixels, and its standard deviation.
         """
 
         def colours(values: NDArray[np.float32], bits: int) -> _Planes:
@@ -398,11 +436,10 @@ class Rendering:
 
         estimate, bare, error = light
         deviation = demosaic_deviation(error, self.layout, first)
-        mask = demosaic_mask(self._mosaic_values("mask", sums))
+        mask = demosaic_mask(values)
         for more in marks:  # each by itself: of several values the largest spreads
             mask |= demosaic_mask(more)
         irradiance = colours(estimate, self._bits)
-        coded = self._mosaic_values("shown", shown)
         if self._converts:
             return self._converted(
                 irradiance,
@@ -419,14 +456,15 @@ class Rendering:
             encode(self.desired, channels_together(colours(coded, _MOST_BITS))),
         )
 
-    def _look_up(
-        self, name: str, planes: tuple[NDArray[np.unsignedinteger], ...]
-    ) -> tuple[NDArray[Any], ...]:
-        """Return the values of a table for the sums of each channel."""
+    def _values(self, name: str, sums: NDArray[np.unsignedinteger]) -> NDArray[Any]:
+        """Return the values of a table for sums, in their shape, which begin at an even row."""
+        if self.layout.is_mosaic:
+            return self._mosaic_values(name, sums)
+        planes = channels_apart(sums)
         tables = self.tables if len(self.tables) > 1 else self.tables * len(planes)
         # Half the time of an index.
         each = zip(tables, planes, strict=True)
-        return tuple(getattr(table, name).take(plane) for table, plane in each)
+        return channels_together([getattr(table, name).take(plane) for table, plane in each])
 
     def _mosaic_values(self, name: str, sums: NDArray[np.unsignedinteger]) -> NDArray[Any]:
         """Return the values of a table for sums of a mosaic, which begin at an even row."""

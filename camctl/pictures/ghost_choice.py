@@ -1,0 +1,206 @@
+"""Which frame shows each place where things moved.
+
+The map of movement is in cells (`camctl.evidence.movement`).  Connected cells, what they enclose
+and the cells around them are a region, whose cells get labels (`camctl.pictures.ghost_labels`).
+
+All frames together have an error by what moved: m, the mean square of the largest difference of a
+frame from them beyond its noise.  A frame of the variance v has the weight m / (m + v), which has
+the least error (Wiener), v m / (m + v): where nothing moves, all frames are believed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.evidence.movement import Movement
+from camctl.evidence.patches import Patches
+from camctl.interface.camera import Pixels
+from camctl.model.light import Floats32
+from camctl.pictures.frame_light import FrameLight
+from camctl.pictures.ghost_labels import LabelField, Mask, least_error_labels
+from camctl.pictures.ghosts import COMPARED, Ghosts
+from camctl.pictures.single_light import SingleLight, least_light, single_lights
+from camctl.system.picture_operations import connected_parts, dilated
+
+#: Cells have 2 x 2 parts, whose mean light is compared at seams.
+_PARTS = 2
+#: Stands for no movement; its quotients exist.
+_NO_ERROR = 1e-12
+
+FrameRows = Callable[[int, slice], Pixels]
+
+
+def find_ghosts(
+    movement: Movement,
+    frames: FrameRows,
+    total: NDArray[np.unsignedinteger],
+    light: FrameLight,
+    exposures: Sequence[float],
+    samples: Sequence[Patches],
+    black: int,
+) -> Ghosts | None:
+    """Return from which frame each place is where things moved; None where nothing did.
+
+    Args:
+        movement: where frames contradict each other
+        frames: returns rows of each frame
+        total: sum of the frames
+        light: what estimates the light from all frames
+        exposures: of the frames, relative to the shortest
+        samples: patches of each frame, plane by plane, see `sample_patches`
+        black: brightness without light, DN
+    """
+    if not movement.cells.any():
+        return None
+    cells = _regions(movement.cells)
+    lights = tuple(single_lights(light, exposures, samples, black))
+    error, features, certainty = _measured(
+        dilated(cells.astype(np.uint8), (3, 3)) > 0,
+        movement.cell,
+        frames,
+        total,
+        light,
+        lights,
+        len(exposures),
+    )
+    labels = np.full(cells.shape, -1, np.int16)
+    numbers, boxes = connected_parts(cells)
+    for number, (left, top, width, height, _) in enumerate(boxes.tolist()[1:], 1):
+        near = (
+            slice(max(0, top - 1), top + height + 1),
+            slice(max(0, left - 1), left + width + 1),
+        )
+        inside = numbers[near] == number
+        found = least_error_labels(LabelField(inside, error[near], features[near]))
+        labels[near][inside] = found[inside]
+    return Ghosts(labels, movement.cell, certainty, lights)
+
+
+def _regions(cells: Mask) -> Mask:
+    """Return cells with what they enclose, and those around them."""
+    outer = np.pad(~(dilated(cells.astype(np.uint8), (3, 3)) > 0), 1, constant_values=True)
+    numbers, _ = connected_parts(outer)
+    return np.asarray((numbers != numbers[0, 0])[1:-1, 1:-1])
+
+
+def _measured(
+    cells: Mask,
+    cell: int,
+    frames: FrameRows,
+    total: NDArray[np.unsignedinteger],
+    light: FrameLight,
+    lights: Sequence[SingleLight],
+    count: int,
+) -> tuple[Floats32, Floats32, Floats32]:
+    """Return `error` and `features` of a `LabelField`, and `Ghosts.certainty`, of some cells."""
+    channels = int(np.prod(total.shape[2:]))
+    error = np.zeros((*cells.shape, count), np.float32)
+    features = np.zeros((*cells.shape, count + 1, _PARTS**2 * channels), np.float32)
+    parts = cells.shape[0] * COMPARED, cells.shape[1] * COMPARED
+    certainty = np.zeros((count, *parts), np.float32)
+    for row in range(0, cells.shape[0], 2):  # an even row of a mosaic
+        columns = np.flatnonzero(cells[row : row + 2].any(axis=0))
+        if not columns.size:
+            continue
+        first, last = int(columns[0]) & ~1, int(columns[-1]) + 1
+        rows = slice(row * cell, min((row + 2) * cell, len(total)))
+        across = slice(first * cell, min(last * cell, total.shape[1]))
+        values = [frames(place, rows)[:, across] for place in range(count)]
+        all_frames, _ = light.rows(values, total[rows, across])
+        together = np.log(np.maximum(all_frames, np.float32(least_light(lights))))
+        here = slice(row, row + 2), slice(first, last)
+        finer = [slice(each.start * COMPARED, each.stop * COMPARED) for each in here]
+        features[(*here, count)] = _cell_means(together, cell, _PARTS)
+        known, square = (
+            np.empty((count, *features[here].shape[:2], COMPARED**2), np.float32) for _ in range(2)
+        )
+        for place, pixels in enumerate(values):
+            found = _compared(lights, pixels, place, together)
+            features[(*here, place)] = _cell_means(found.light, cell, _PARTS)
+            for into, each in ((known, found.variance), (square, found.difference)):
+                means = _cell_means(each, cell, COMPARED)
+                into[place] = means.reshape(*known.shape[1:], channels).mean(axis=3)
+            error[(*here, place)] = _cell_means(found.lost, cell, 1).mean(axis=2)
+        moved = _moved(square, known, max(1, cell // COMPARED) ** 2 * channels)
+        share = moved / (moved + known)
+        error[here] += (known * share).mean(axis=3).transpose(1, 2, 0)
+        split = share.reshape(*share.shape[:3], COMPARED, COMPARED).transpose(0, 1, 3, 2, 4)
+        into = certainty[:, finer[0], finer[1]]
+        into[...] = split.reshape(into.shape)
+    return error, features, certainty
+
+
+def _moved(square: Floats32, variance: Floats32, samples: int) -> Floats32:
+    """Return the mean square error of ln light that movement makes of all frames, about.
+
+    It is the largest difference of a frame from all frames beyond its noise.  Noise makes the mean
+    of n squares, of K frames, larger by a share of sqrt(2 ln K) sqrt(2 / n) (Donoho and Johnstone,
+    1994).
+
+    Args:
+        square: (K, ...) mean square differences
+        variance: of the frames, likewise
+        samples: n
+    """
+    beyond = math.sqrt(2 * math.log(len(square))) * math.sqrt(2 / samples)
+    found = (square - variance * np.float32(1 + beyond)).max(axis=0)
+    return np.asarray(np.maximum(found, np.float32(_NO_ERROR)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Comparison:
+    """What a frame shows beside all frames together, in its shape, float32.
+
+    Attributes:
+        light: its ln light, or the light of all frames where it is saturated and they show more
+        variance: of it; 0 where it is saturated
+        difference: square of its difference from all frames
+        lost: mean square error where it is saturated, else 0
+    """
+
+    light: Floats32
+    variance: Floats32
+    difference: Floats32
+    lost: Floats32
+
+
+def _compared(
+    lights: Sequence[SingleLight], pixels: Pixels, frame: int, together: Floats32
+) -> _Comparison:
+    """Return what some rows of a frame show beside the ln light of all frames."""
+    variance, light, lost = (np.empty(pixels.shape, np.float32) for _ in range(3))
+    for single in lights:
+        view = single.part.view
+        clipped = np.minimum(view(pixels), single.irradiance.shape[1] - 1)
+        known = np.log(np.maximum(single.irradiance[frame], np.float32(least_light(lights))))
+        saturated = np.isinf(single.deviation[frame])
+        view(light)[...] = known.take(clipped)
+        view(variance)[...] = np.where(saturated, 0, single.variance[frame]).take(clipped)
+        view(lost)[...] = np.where(saturated, single.variance[frame], 0).take(clipped)
+        brighter = saturated.take(clipped) & (view(together) > view(light))
+        view(light)[brighter] = view(together)[brighter]
+    return _Comparison(light, variance, np.square(light - together), lost)
+
+
+def _cell_means(values: Floats32, cell: int, parts: int) -> Floats32:
+    """Return the means over parts x parts of each cell, (cells down, cells across, parts^2 ...)."""
+    found: NDArray[Any] = values if values.ndim == 3 else values[..., np.newaxis]
+    for axis in (0, 1):
+        length = found.shape[axis]
+        starts = np.arange(0, length, cell)
+        # A last cell that is too narrow for parts has the same edge twice: its first sample.
+        edges = np.minimum(
+            (starts[:, np.newaxis] + np.arange(parts) * cell // parts).ravel(), length - 1
+        )
+        sizes = np.maximum(np.diff(np.append(edges, length)), 1)
+        sums = np.add.reduceat(found, edges, axis=axis)
+        found = sums / sizes.reshape([-1 if k == axis else 1 for k in range(3)])
+    down, across = (length // parts for length in found.shape[:2])
+    split = found.reshape(down, parts, across, parts, -1).transpose(0, 2, 1, 3, 4)
+    return np.asarray(split.reshape(down, across, -1), np.float32)
