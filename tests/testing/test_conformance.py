@@ -37,6 +37,7 @@ class TestNoDelay(Steady):
     changes = MappingProxyType({"delay_frames": 0})
 
 
+@pytest.mark.slow
 class TestLongDelay(Steady):
     changes = MappingProxyType({"delay_frames": 5})
 
@@ -49,14 +50,17 @@ class TestMosaicWithBlackLevel(Steady):
     sensor = "phone"
 
 
+@pytest.mark.slow
 class TestTwelveBits(Steady):
     sensor = "machine-vision"
 
 
+@pytest.mark.slow
 class TestFourBits(Steady):
     sensor = "ideal-4"
 
 
+@pytest.mark.slow
 class TestNonLinear(Steady):
     sensor = "consumer"
 

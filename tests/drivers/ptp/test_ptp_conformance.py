@@ -70,16 +70,17 @@ def dialect(
 # How a maker sets exposures does not depend on the format, nor how a file is read on the maker:
 # each is here with some of the others, and `test_every_maker_saves_every_format` has all pairs.
 TestPlainJpeg = dialect(run_length=100)
-TestPlainRaw = dialect("dng", "ideal-12")
-TestTimesAsRange = dialect("tiff", time_form="range")
+TestPlainRaw = pytest.mark.slow(dialect("dng", "ideal-12"))
+TestTimesAsRange = pytest.mark.slow(dialect("tiff", time_form="range"))
 TestNikonRaw = dialect("dng", vendor="nikon", run_length=100)
 TestCanonTiff = dialect("tiff", vendor="canon")
 TestSonyJpeg = dialect(vendor="sony")
 TestFujiJpeg = dialect(vendor="fuji")
-TestOlympusRaw = dialect("dng", vendor="olympus")
-TestPanasonicJpeg = dialect(vendor="panasonic")
+TestOlympusRaw = pytest.mark.slow(dialect("dng", vendor="olympus"))
+TestPanasonicJpeg = pytest.mark.slow(dialect(vendor="panasonic"))
 
 
+@pytest.mark.slow
 class TestUnusualTransfers(PtpConformance):
     """Header in a transfer of its own, no empty packets, events for folders, none for files."""
 
