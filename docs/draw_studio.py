@@ -8,6 +8,7 @@ Chromium, and uses the simulated camera.
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -83,11 +84,19 @@ def tour(page: Any, take: Any) -> None:
     page.click("[data-section=settings]")
     page.wait_for_timeout(300)
     take("settings")
+    page.click("[data-profiles]")
+    page.wait_for_selector(".plot")
+    while not page.locator(".plot").evaluate("image => image.complete"):
+        page.wait_for_timeout(100)
+    take("profile")
 
 
 def main(target: Path) -> None:
     """Draw all."""
-    with sync_playwright() as playwright:
+    with tempfile.TemporaryDirectory() as profiles, sync_playwright() as playwright:
+        os.environ["CAMCTL_PROFILES"] = profiles
+        calibrate = [sys.executable, "-m", "camctl", "calibrate", "all", "--camera", "sim"]
+        subprocess.run(calibrate, check=True, capture_output=True)
         browser = playwright.chromium.launch(
             executable_path=shutil.which("chromium"), args=["--no-sandbox"]
         )

@@ -6,7 +6,7 @@ To add one: a line in `SECTIONS`, its routes in a module beside this one, and ``
 from __future__ import annotations
 
 from camctl.menu.model import State
-from camctl.menu.studio import captures, choices, live, merging
+from camctl.menu.studio import captures, choices, live, merging, profiles
 from camctl.menu.studio.section import Section
 
 SECTIONS = (
@@ -84,5 +84,6 @@ SECTIONS = (
             State.CONFIRM,
             State.QUIT,
         ),
+        get={"profiles": profiles.profiles, "plot": profiles.plot},
     ),
 )

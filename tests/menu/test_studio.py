@@ -6,6 +6,7 @@ import json
 import threading
 import time
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,8 @@ from camctl.menu.studio.sections import SECTIONS
 from camctl.menu.studio.server import PAGE
 from camctl.menu.studio.sight import Look, Sight, View, rendered
 from camctl.menu.tables import STATES
+from camctl.profiles.noise import Figure, GainNoise, NoiseRecord
+from camctl.profiles.profile import Profile, save_profile
 from camctl.sim.backend import SimulatedBackend
 from camctl.sim.devices.ptp.properties import CHARGE
 from camctl.system.picture_operations import png_pixels
@@ -266,3 +269,30 @@ def test_what_is_no_photograph_is_said_by_its_name(start: Start, tmp_path: Path)
     assert status == 422
     assert b"hosts.txt" in content
     assert str(tmp_path).encode() not in content
+
+
+def test_profiles_are_listed_and_drawn(start: Start, own_profiles: Path) -> None:
+    client = start(lambda _: FakeJob())
+    client.until("idle")
+    assert client.json("settings/profiles") == []
+    assert client.ask("settings/plot/x")[0] == 404
+    with simulated() as camera:
+        profile = Profile.of(camera.info)
+    save_profile(profile)
+    assert client.ask(f"settings/plot/{profile.name}")[0] == 422  # nothing was measured
+    figure = Figure(value=5.0, low=4.9, high=5.1)
+    at_gain_1 = GainNoise(
+        gain=1.0, conversion_e_per_dn=figure, read_noise_e=figure, patches=1000, misfit=1.0
+    )
+    well = Figure(value=6000.0, low=5900.0, high=6100.0)
+    profile.add_noise(
+        "mono",
+        NoiseRecord(gains=(at_gain_1,), full_well_e=well, saturates=True, measured_at="2026-11-22"),
+    )
+    save_profile(profile)
+    assert [each["noise"] for each in client.json("settings/profiles")] == [["mono"]]
+    status, content = client.ask(f"settings/plot/{profile.name}")
+    if find_spec("matplotlib") is None:
+        assert status == 422
+    else:
+        assert content.startswith(b"\x89PNG")
