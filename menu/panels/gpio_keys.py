@@ -144,7 +144,7 @@ class GpioKeys:
         try:
             with self._gpiod.Chip(self._path) as chip:
                 places = {each: chip.line_offset_from_id(each) for each in config}
-                self._request = chip.request_lines(config=config, consumer="camctl menu")
+                self._request = chip.request_lines(config=config, consumer="camctl")
             values = [self._request.get_value(each) for each in self._contacts]
         except (OSError, ValueError) as error:
             self.problem = _problem(self._path, error)

@@ -139,6 +139,6 @@ def _parser() -> Any:
         hint = "see the list of displays in https://luma-oled.readthedocs.io"
         raise UsageError(f"invalid display of the panel luma: {message}", hint=hint)
 
-    parser = cmdline.create_parser("camctl menu", autocomplete=False)
+    parser = cmdline.create_parser("camctl", autocomplete=False)
     parser.error = refuse
     return parser
