@@ -57,7 +57,7 @@ def models() -> dict[State, Model]:
             if STATES[state].work is Work.PREDICT:
                 found[state] = replace(found[state], costs=_costs(job, found[state]))
             if state is State.FRONT:
-                front = job.trace(choice(shown.settings, Goal.FRONT), lambda: False)
+                front = job.trace(choice(shown.settings, Goal.FRONT), lambda: False).points
                 place = [point.is_recommended for point in front].index(True)
                 found[state] = replace(found[state], front=front, cursor=place)
         found[State.CAMERA_FAILED] = replace(found[State.CAMERA_FAILED], camera=None)

@@ -56,7 +56,7 @@ menu_options = all_of(
     "--panel NAME[:ADDRESS]",
     "Panel that shows the menu: terminal (this one, with the arrow keys), "
     "cfa635:/dev/ttyUSB0, hd44780:/dev/i2c-1, luma:ssd1306, drm:/dev/dri/card0, "
-    "framebuffer:/dev/fb0, web[:PORT], image:DIR.",
+    "framebuffer:/dev/fb0, web[:PORT], mqtt:BROKER, image:DIR.",
     PANEL,
     field="panel_id",
     default="terminal",

@@ -77,6 +77,7 @@ PANELS = (
     "luma:st7789,interface=spi,gpio-data-command=24,gpio-reset=25",
     "web:0.0.0.0:8080",
     "mqtt:broker.local",
+    "mqtt:broker.local",
 )
 
 

@@ -76,6 +76,7 @@ EXTRAS: Final = {
     "hd44780": "character displays at I2C, for the menu",
     "luma": "graphic displays at I2C and SPI, for the menu",
     "gpio": "buttons and rotary encoders at GPIO lines, for the menu",
+    "mqtt": "Home Assistant and MQTT, for the menu",
     "plots": "plots: `--plot`, `camctl figures`, `plot` of calibrations",
     "studies": "the other methods in `camctl tradeoff solver`, and plots",
     "fast": "a faster simulated camera",

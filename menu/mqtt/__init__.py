@@ -1,0 +1,1 @@
+"""The menu by MQTT: for Home Assistant, and for programs that shoot and wait for a picture."""
