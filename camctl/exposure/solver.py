@@ -86,15 +86,18 @@ QUICK_MARGIN = 1.25
 SHARE_BETWEEN = 0.05
 """Share of the evaluations for a camera between the coarsest and the finest one."""
 
-MOST_SECONDS, QUICK_SECONDS = 50.0, 3.0
+MOST_SECONDS, QUICK_SECONDS = 48.0, 3.0
 """Processor time of a search, and of a quick one for each number of exposures, about, at most: by
 `BatchScore.seconds` and `ExposureProblem.seconds`, so that results are the same on each machine."""
 
-START_SHARE, STEP_SHARE, FINAL_SHARE = 0.1, 0.3, 0.1
-"""Shares of it, at most, for the starts, for one step of all sets, and for the end of each set."""
+STEP_SHARE = 0.2
+"""Share of it for one step of all sets, at most, where a search has to be limited."""
 
-COARSE_SHARE = 0.6
-"""Share of it for the search with fewer levels, where there is one."""
+FIRST_STEP, NEXT_STEP = STARTS * MOVES, 2 * MAX_MOVES
+"""Changes tried in the longest step: from random starts, and from known ones."""
+
+NEXT_STARTS = 32
+"""Starts from known sets, at most: 12 of them, and `KNOWN_MOVES`."""
 
 
 @dataclass(frozen=True)
@@ -246,13 +249,18 @@ def _best_of_count(
     # xi is never below 0, and no set is shorter than equal exposures.
     if n == 1 or total_limit == n or problem.score(equal) == 0:
         return Solution.of(problem, equal)
-    known, first = None, 0.0
-    if problem.response.M > MAX_DIRECT_LEVELS and problem.objective.noise is None:
-        first, fewer = COARSE_SHARE, part_of(progress, 0.0, COARSE_SHARE)
-        known = _coarse_starts(problem, options, total_limit, fewer, COARSE_SHARE * seconds)
-    here = part_of(progress, first, 1.0)
-    running = _Search(problem, options, total_limit, here, (1 - first) * seconds)
-    exposures = running.run(known)
+    searches = _searches(problem, options, total_limit)
+    needed = [each.needed_s for each in searches]
+    share = seconds / sum(needed)
+    first, known, exposures = 0.0, None, equal
+    for k, (running, needed_s) in enumerate(zip(searches, needed, strict=True)):
+        if k > 0:
+            known = searches[k - 1].starts_for(running.problem.response)
+        if share < 1:
+            running.limit_to(share)
+        last = first + needed_s / sum(needed)
+        running.progress, first = part_of(progress, first, last), last
+        exposures = running.run(known)
     return Solution.of(problem, exposures, evaluations=running.score.evaluations)
 
 
@@ -287,38 +295,24 @@ def _fewest(
     )
 
 
-def _coarse_starts(
-    problem: ExposureProblem,
-    search: SearchOptions,
-    total_limit: float,
-    progress: Progress | None,
-    seconds: float,
-) -> FloatArray:
-    """Return (K, n) starts, as logarithms, from the search for a camera of fewer levels.
+def _searches(
+    problem: ExposureProblem, options: SearchOptions, total_limit: float
+) -> list[_Search]:
+    """Return the searches for a camera, and for cameras of fewer levels before it.
 
-    Half of them are sets that it found; in the others the distances of ratios from multiples of
-    1/2, by which levels interleave, are reduced as the gaps are: each follows the set it is from.
-    It takes half of the time limit at most, and about `seconds` of processor time.
+    What each finds is where the next one starts.  A coarser one takes half of the time limit.
     """
-    fewer, finer = coarser(problem)
-    coarse = fewer.response
-    limit_s = None if search.time_limit_s is None else search.time_limit_s / 2
-    options = replace(search, time_limit_s=limit_s)
-    known, first = None, 0.0
-    if coarse.M > MAX_DIRECT_LEVELS:
-        first, there = COARSE_SHARE, part_of(progress, 0.0, COARSE_SHARE)
-        known = _coarse_starts(fewer, options, total_limit, there, COARSE_SHARE * seconds)
-    here = part_of(progress, first, 1.0)
-    running = _Search(fewer, options, total_limit, here, (1 - first) * seconds)
-    if known is not None:
-        running.budget *= SHARE_BETWEEN
-    running.run(known)
-    logs = running.finalists
-    steps = np.diff(logs, axis=1, prepend=0.0)
-    whole = np.log(np.maximum(np.round(2 * np.exp(steps)), 2) / 2)
-    near = np.abs(steps - whole) < 4 / (coarse.M + 1)
-    reduced = np.where(near, whole + (steps - whole) / finer, steps)
-    return np.stack([logs, np.cumsum(reduced, axis=1)], axis=1).reshape(-1, problem.n)
+    found = [_Search(problem, options, total_limit)]
+    while problem.response.M > MAX_DIRECT_LEVELS and problem.objective.noise is None:
+        problem = coarser(problem)[0]
+        limit_s = None if options.time_limit_s is None else options.time_limit_s / 2
+        options = replace(options, time_limit_s=limit_s)
+        found.insert(0, _Search(problem, options, total_limit))
+    for between in found[1:-1]:
+        between.budget *= SHARE_BETWEEN
+    for each in found[1:]:
+        each.most_starts, each.longest_step = NEXT_STARTS, NEXT_STEP
+    return found
 
 
 def coarser(problem: ExposureProblem) -> tuple[ExposureProblem, float]:
@@ -344,10 +338,9 @@ class _Search:
         problem: ExposureProblem,
         search: SearchOptions,
         limit: float,
-        progress: Progress | None,
-        seconds: float,
     ) -> None:
-        self.problem, self.limit, self.progress = problem, limit, progress
+        self.problem, self.limit = problem, limit
+        self.progress: Progress | None = None
         self.score, self.exact_scores = BatchScore(problem), 0
         self.deadline = monotonic() + (search.time_limit_s or math.inf)
         n, M, levels = problem.n, problem.response.M, problem.response.levels
@@ -362,17 +355,45 @@ class _Search:
             evaluations *= CURVED_EFFORT
             self.same = SAME_SET * self.moves.interleave
         budget = search.effort * min(evaluations, max_sorted / sorted_at_once)
-        budget = max(budget, 20.0 * STARTS) if M <= MAX_DIRECT_LEVELS else budget
-        in_time = seconds / self.score.seconds
-        self.budget = min(budget, in_time)
-        self.most_starts = max(2, int(START_SHARE * in_time))
-        self.most_changes = int(STEP_SHARE * in_time)
+        self.budget = max(budget, 20.0 * STARTS) if M <= MAX_DIRECT_LEVELS else budget
+        self.most_starts = 8 * STARTS
+        self.longest_step = self.most_changes = FIRST_STEP
         p = problem.objective.p
         passes = FINAL_PASSES if p == round(p) else FINAL_PASSES // 4
         final = min(2 * n * passes, max(20.0, MAX_FINAL_LEVELS / sorted_at_once))
         self.finalists: FloatArray = np.empty((0, n))
         self.final_evaluations = int(search.refinement * final)
-        self.most_final = int(FINAL_SHARE * seconds / problem.seconds)
+        self.most_final = math.inf
+
+    @property
+    def needed_s(self) -> float:
+        """About the processor time that the search takes, s, if it is not limited."""
+        scored = self.most_starts + self.budget + self.longest_step
+        return self.score.seconds * scored + self.problem.seconds * 2 * self.final_evaluations
+
+    def limit_to(self, share: float) -> None:
+        """Let the search take a share of the time that it needs."""
+        in_time = STEP_SHARE * MOST_SECONDS / self.score.seconds
+        self.most_starts = max(2, int(min(share * self.most_starts, in_time)))
+        self.most_changes = int(min(share * self.longest_step, in_time))
+        rest = share * (self.budget + self.longest_step) - self.most_changes
+        self.budget = max(share * self.budget, rest)
+        self.most_final = int(share * self.final_evaluations)
+
+    def starts_for(self, camera: CameraResponse) -> FloatArray:
+        """Return (K, n) starts, as logarithms, for a camera of more levels.
+
+        Half of them are the sets that were found; in the others, each after the set that it is
+        from, the distances of ratios from multiples of 1/2, by which levels interleave, are
+        reduced as the gaps are.
+        """
+        logs = self.finalists
+        steps = np.diff(logs, axis=1, prepend=0.0)
+        whole = np.log(np.maximum(np.round(2 * np.exp(steps)), 2) / 2)
+        near = np.abs(steps - whole) < 4 / (self.problem.response.M + 1)
+        finer = camera.M / self.problem.response.M
+        reduced = np.where(near, whole + (steps - whole) / finer, steps)
+        return np.stack([logs, np.cumsum(reduced, axis=1)], axis=1).reshape(-1, self.problem.n)
 
     def run(self, known: FloatArray | None = None) -> tuple[float, ...]:
         """Return the best exposures found; `known` (K, n) replaces some of the random starts."""
@@ -395,7 +416,7 @@ class _Search:
             if len(sets) >= FINALISTS or not self.finalists.size:
                 self.finalists = sets[:FINALISTS]
             moves = min(2 * moves, MAX_MOVES)
-        sets = sets[: max(1, self.most_final)]
+        sets = sets[: int(max(1, min(len(sets), self.most_final)))]
         finished = sorted((self._finish(row) for row in sets), key=lambda found: found[1])
         best = [np.log(exposures) for exposures, _ in finished]
         self.finalists = np.concatenate([best, self.finalists])
@@ -407,7 +428,7 @@ class _Search:
             return
         batch, exact = self.score.seconds, self.problem.seconds
         finals = 2 * min(self.final_evaluations, self.most_final)
-        planned = batch * (self.budget + min(8 * STARTS, self.most_starts)) + exact * finals
+        planned = batch * (self.budget + self.most_starts) + exact * finals
         scored = self.score.evaluations - self.exact_scores
         self.progress(min((batch * scored + exact * self.exact_scores) / planned, 0.99))
 
