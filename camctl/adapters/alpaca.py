@@ -273,11 +273,10 @@ class _Handler(SiteHandler):
         """Do something, or set a property."""
         if not self.is_allowed():
             return
-        length = self.headers.get("Content-Length", "0")
-        if not re.fullmatch(r"\d{1,9}", length, re.ASCII) or int(length) > _BODY_BYTES:
+        if self.length > _BODY_BYTES:
             self.refuse(HTTPStatus.BAD_REQUEST, "the body is too long")
             return
-        body = self.rfile.read(int(length)).decode("utf-8", "replace")
+        body = self.read_body().decode("utf-8", "replace")
         self._answer(dict(parse_qsl(body, keep_blank_values=True)), is_put=True)
 
     def _answer(self, given: Mapping[str, str], *, is_put: bool) -> None:

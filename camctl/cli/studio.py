@@ -17,8 +17,8 @@ from camctl.cli.request_options import RequestOptions
         ("camctl studio", "on http://127.0.0.1:8080, with the simulated camera"),
         ("camctl studio --camera v4l2:/dev/video0 -o pictures", "a real camera"),
         (
-            "CAMCTL_STUDIO_TOKEN=SECRET camctl studio --address 0.0.0.0:8080",
-            "for a phone in the same network: open http://HOST:8080/?token=SECRET",
+            "CAMCTL_STUDIO_TOKEN=LONG-SECRET camctl studio --address 0.0.0.0:8080",
+            "for a phone in the same network: open http://HOST:8080/?token=LONG-SECRET",
         ),
     )
 )

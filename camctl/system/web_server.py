@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hmac
 import ipaddress
+import math
 import os
 import re
 import socket
@@ -32,8 +33,18 @@ _COOKIE = "camctl_token"
 _GUESS_S = 0.5
 """Wrong tokens are refused one at a time, after this time each, s: two guesses a second in all."""
 
+LEAST_TOKEN = math.ceil(math.log2(10 * 365.25 * 86400 / _GUESS_S / 1e-6) / 4)
+"""Characters of a token: 13 random hexadecimal digits, of 4 bits each, are found with a probability
+of 1e-6 by somebody who guesses for ten years, without a pause."""
+
 MOST_CONNECTIONS = 32
 """A browser opens six connections at most; a new one ends the one that is silent for longest."""
+
+_CLIENT_ERRORS = {
+    HTTPStatus.NOT_IMPLEMENTED: HTTPStatus.METHOD_NOT_ALLOWED,
+    HTTPStatus.HTTP_VERSION_NOT_SUPPORTED: HTTPStatus.BAD_REQUEST,
+}
+"""What http.server calls errors of its own: the client's request is wrong."""
 
 _PART_BYTES = 1 << 20
 """Bytes of a file that are read at a time."""
@@ -96,7 +107,8 @@ class Site:
         is_open: whoever reaches it may use it: its protocol has no tokens
 
     Raises:
-        UsageError: an invalid address, or a host that others reach without a token
+        UsageError: an invalid address, a host that others reach without a token, or a token that
+            can be guessed
     """
 
     address: str
@@ -126,6 +138,7 @@ class Site:
                 f"{self.what} on {self.host} could be used by anybody",
                 hint=f"set a token in {self.variable}, or leave the host out",
             )
+        _check_token(self.token, self.variable)
         self.headers = _headers(self.page, has_files=self.has_files)
         self.guesses = threading.Lock()
         self._server: LimitedServer | None = None
@@ -178,6 +191,18 @@ class Site:
             server.server_close()
 
 
+def _check_token(token: str, variable: str) -> None:
+    """Raise `UsageError` for a token that can be guessed, or that no browser can send."""
+    hint = f"openssl rand -hex {(LEAST_TOKEN + 1) // 2} prints one"
+    if token and len(token) < LEAST_TOKEN:
+        what = f"the token in {variable} has {len(token)} characters, and can be guessed"
+        raise UsageError(what, hint=f"take {LEAST_TOKEN} or more: {hint}")
+    try:
+        token.encode()
+    except UnicodeEncodeError:
+        raise UsageError(f"the token in {variable} is no text in UTF-8", hint=hint) from None
+
+
 def is_loopback(host: str) -> bool:
     """Return whether a host is this computer."""
     if host == "localhost":
@@ -221,12 +246,20 @@ def _headers(page: bytes, *, has_files: bool) -> dict[str, str]:
 
 
 class SiteHandler(BaseHTTPRequestHandler):
-    """Answers one request; a subclass has `do_GET`, which begins with `is_allowed`."""
+    """Answers one request; a subclass has `do_GET`, which begins with `is_allowed`.
+
+    Attributes:
+        url: the address in the request
+        length: bytes of its body
+    """
 
     server: LimitedServer
     site: Site
     url: SplitResult
+    length: int
     protocol_version = "HTTP/1.1"
+    default_request_version = "HTTP/1.0"  # to older ones no headers would be sent
+    server_version, sys_version = "camctl", ""
     timeout = 60
     # Header and body leave in one packet, at once: a second small packet would wait until the
     # browser acknowledges the first, which it delays by 40 ms.
@@ -238,10 +271,15 @@ class SiteHandler(BaseHTTPRequestHandler):
         site = self.site
         self.server.note_request(self.connection)
         try:
-            self.url = urlsplit(self.path)
-            host = urlsplit(f"//{self.headers.get('Host', '')}").hostname or ""
-        except ValueError:
-            self.refuse(HTTPStatus.BAD_REQUEST, "the address or its host is invalid")
+            host = self._read_head()
+        except ValueError as error:
+            self.refuse(HTTPStatus.BAD_REQUEST, str(error))
+            return False
+        # A body that nobody reads is no next request.
+        self._is_last = self.close_connection
+        self.close_connection |= self.length > 0
+        if not self._is_of_this_site():
+            self.refuse(HTTPStatus.FORBIDDEN, "a page of another site asks for this")
             return False
         if site.token:
             given = parse_qs(self.url.query).get("token", [self._cookie()])[0]
@@ -258,6 +296,40 @@ class SiteHandler(BaseHTTPRequestHandler):
             return True
         self.refuse(HTTPStatus.FORBIDDEN, "open the page by the address 127.0.0.1")
         return False
+
+    def _read_head(self) -> str:
+        """Read address and length; return the host; raises `ValueError` for what is ambiguous."""
+        if self.headers.defects:
+            raise ValueError("a line of the head is invalid")
+        for name in ("Host", "Origin", "Content-Length"):
+            if len(self.headers.get_all(name, ())) > 1:
+                raise ValueError(f"{name} is given twice")
+        length = self.headers.get("Content-Length", "0")
+        if "Transfer-Encoding" in self.headers or not re.fullmatch(r"\d{1,15}", length, re.ASCII):
+            raise ValueError("the length of the request is not given in bytes")
+        self.length = int(length)
+        try:
+            self.url = urlsplit(self.path)
+            host = urlsplit(f"//{self.headers.get('Host', '')}").hostname or ""
+        except ValueError:
+            raise ValueError("the address or its host is invalid") from None
+        if self.url.netloc or not self.path.startswith("/"):
+            raise ValueError("the address does not begin with a slash")
+        return host
+
+    def _is_of_this_site(self) -> bool:
+        """Return whether a browser that says which site sent the request says this one."""
+        origin = self.headers.get("Origin")
+        scheme, _, host = (origin or "").partition("://")
+        return origin is None or (
+            scheme in ("http", "https") and host.lower() == self.headers.get("Host", "").lower()
+        )
+
+    def read_body(self) -> bytes:
+        """Return the body of the request; another request may follow it."""
+        data = self.rfile.read(self.length)
+        self.close_connection = self._is_last
+        return data
 
     def is_from_page(self, reason: str) -> bool:
         """Return whether the page itself sent the request; else it is refused with `reason`.
@@ -287,7 +359,8 @@ class SiteHandler(BaseHTTPRequestHandler):
     ) -> None:
         """Send data of a media type."""
         self.send_head(kind, len(data), status, close=close)
-        self.wfile.write(data)
+        if self.command != "HEAD":
+            self.wfile.write(data)
 
     def send_file(
         self, file: BinaryIO, kind: str, *, more: Mapping[str, str] | None = None
@@ -315,9 +388,9 @@ class SiteHandler(BaseHTTPRequestHandler):
         self.send_header("Content-Type", kind)
         if size is not None:
             self.send_header("Content-Length", str(size))
-        for name, value in {**self.site.headers, **(more or {})}.items():
+        for name, value in (more or {}).items():
             self.send_header(name, value)
-        if close or size is None:
+        if close or size is None or self.close_connection:
             self.send_header("Connection", "close")
         token = self.site.token
         if token and status is HTTPStatus.OK:
@@ -328,6 +401,24 @@ class SiteHandler(BaseHTTPRequestHandler):
     def refuse(self, status: HTTPStatus, reason: str) -> None:
         """Refuse a request; what else the client sends on this connection is not read."""
         self.answer(reason.encode(), "text/plain; charset=utf-8", status, close=True)
+
+    def end_headers(self) -> None:
+        """End the header of any answer, also of those that http.server sends, with the site's."""
+        for name, value in self.site.headers.items():
+            self.send_header(name, value)
+        super().end_headers()
+
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """Refuse in one line what http.server cannot read or has no method for."""
+        status = _CLIENT_ERRORS.get(HTTPStatus(code), HTTPStatus(code))
+        self.refuse(status, status.phrase.lower())
+
+    def handle_expect_100(self) -> bool:
+        """Ask for the body of a request, at once."""
+        self.send_response_only(HTTPStatus.CONTINUE)
+        super().end_headers()
+        self.wfile.flush()
+        return True
 
     def log_message(self, format: str, *arguments: Any) -> None:
         """Print nothing: the terminal belongs to the user."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping
 from http import HTTPStatus
 from pathlib import Path
@@ -70,18 +69,15 @@ class StudioHandler(SiteHandler):
         table, place = (tables[""], 0) if parts[0] in tables.get("", {}) else ({}, 1)
         table = table or tables.get(parts[0], {})
         route = table.get(parts[place]) if len(parts) > place else None
-        length = self.headers.get("Content-Length", "0")
-        if route is None or not re.fullmatch(r"\d{1,15}", length, re.ASCII):
+        if route is None:
             self.refuse(NOT_FOUND, "there is no such page")
             return
         request = Request(
             unquote("/".join(parts[place + 1 :])),
             dict(parse_qsl(self.url.query)),
-            int(length),
+            self.length,
             self.rfile,
         )
-        # What a refused request still sends is not read.
-        self.close_connection |= request.length > 0
         try:
             answer = route(self.studio, request)
         except RefusedError as refused:

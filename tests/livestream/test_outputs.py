@@ -180,12 +180,12 @@ def test_the_page_has_picture_histogram_and_exposures() -> None:
 
 
 def test_the_page_of_a_live_camera_needs_its_token() -> None:
-    with served("secret") as output:
+    with served("secret-of-this-page") as output:
         assert ask(output, "state")[0] == 403
         assert ask(output, "state?token=wrong")[0] == 403
-        assert ask(output, "state?token=secret")[0] == 200
+        assert ask(output, "state?token=secret-of-this-page")[0] == 200
         assert ask(output, "video")[0] == 403
-        assert ask(output, "state", Cookie="camctl_token=secret")[0] == 200
+        assert ask(output, "state", Cookie="camctl_token=secret-of-this-page")[0] == 200
 
 
 @pytest.mark.parametrize("address", ["x", "99999", "0.0.0.0:8080"])

@@ -22,6 +22,7 @@ from camctl.menu.drawing import draw
 from camctl.menu.panels.web import SIZE, WebPanel
 from camctl.menu.ports import Key, Line, Screen
 from camctl.system.picture_operations import png
+from camctl.system.web_server import LEAST_TOKEN
 
 SCREEN = Screen(Line(("Ready",)), lines=(Line(("one",)),), actions=("Set",))
 
@@ -86,14 +87,14 @@ def test_request_for_the_next_screen_waits_for_it(panel: WebPanel) -> None:
 
 
 def test_token_is_needed_where_one_is_set() -> None:
-    with WebPanel("0.0.0.0:0", token="s3cret") as panel:
+    with WebPanel("0.0.0.0:0", token="s3cret-of-this-page") as panel:
         panel.show(SCREEN)
         refused = (403, b"the token is missing or wrong: open /?token=TOKEN once")
         assert ask(panel, "") == refused
         assert ask(panel, "?token=wrong") == refused
         assert press(panel, "enter") == refused
-        assert ask(panel, "?token=s3cret")[0] == 200
-        cookie = {"Cookie": "camctl_token=s3cret"}
+        assert ask(panel, "?token=s3cret-of-this-page")[0] == 200
+        cookie = {"Cookie": "camctl_token=s3cret-of-this-page"}
         assert ask(panel, "screen?after=0", headers=cookie)[0] == 200
         assert press(panel, "enter", **cookie)[0] == 200
         assert ask(panel, "", headers={"Cookie": "camctl_token=\u00e9"})[0] == 403
@@ -126,7 +127,8 @@ def connect(panel: WebPanel) -> socket.socket:
 
 
 @pytest.mark.parametrize(
-    "token", ["with space", 'quote"and;semicolon', "caf\u00e9 \u0142", "a%41+b"]
+    "token",
+    ["one with space", 'quote"and;semicolon', "caf\u00e9 \u0142 of town", "a%41+b and others"],
 )
 def test_a_token_may_hold_any_character(token: str) -> None:
     with WebPanel("0", token=token) as panel:
@@ -137,20 +139,95 @@ def test_a_token_may_hold_any_character(token: str) -> None:
         assert ask(panel, "screen?after=0", headers={"Cookie": cookie})[0] == 200
 
 
-def test_every_answer_forbids_frames_copies_and_other_sources(panel: WebPanel) -> None:
-    for path in ("", "screen?after=0", "nothing"):
-        try:
-            with urllib.request.urlopen(panel.url + path, timeout=60) as answer:
-                headers = answer.headers
-        except urllib.error.HTTPError as error:
-            with error:
-                headers = error.headers
-        policy = headers["Content-Security-Policy"]
-        assert "default-src 'none'; script-src 'sha256-" in policy
-        assert "frame-ancestors 'none'" in policy
-        assert headers["X-Frame-Options"] == "DENY"
-        assert headers["X-Content-Type-Options"] == "nosniff"
-        assert headers["Cache-Control"] == "no-store"
+def test_a_token_that_can_be_guessed_is_refused() -> None:
+    """Two guesses a second for ten years find 13 hexadecimal digits once in a million times."""
+    assert LEAST_TOKEN == 13
+    assert 10 * 365.25 * 86400 * 2 / 16**LEAST_TOKEN < 1e-6 < 10 * 365.25 * 86400 * 2 / 16**12
+    for address in ("0.0.0.0:8080", "8080"):
+        WebPanel(address, token="c" * LEAST_TOKEN)
+        for token in ("c", "c" * (LEAST_TOKEN - 1)):
+            with pytest.raises(UsageError, match=r"in CAMCTL_MENU_TOKEN has .* take 13 or more: "):
+                WebPanel(address, token=token)
+    with pytest.raises(UsageError, match="is no text in UTF-8"):
+        WebPanel("8080", token="\udcff" * LEAST_TOKEN)
+
+
+def send(panel: WebPanel, request: bytes) -> bytes:
+    """Return all that the server answers to these bytes."""
+    with connect(panel) as connection:
+        connection.sendall(request)
+        connection.shutdown(socket.SHUT_WR)
+        return b"".join(iter(lambda: connection.recv(1 << 16), b""))
+
+
+@pytest.mark.parametrize(
+    ("status", "request_"),
+    [
+        (200, b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n"),
+        (200, b"GET / HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost\r\n\r\n"),
+        (403, b"GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n"),
+        (404, b"GET /nothing HTTP/1.1\r\nHost: localhost\r\n\r\n"),
+        # What http.server refuses by itself.
+        (405, b"BREW / HTTP/1.1\r\nHost: localhost\r\n\r\n"),
+        (405, b"HEAD / HTTP/1.1\r\nHost: localhost\r\n\r\n"),
+        (405, b"OPTIONS /key/enter HTTP/1.1\r\nHost: localhost\r\n\r\n"),
+        (431, b"GET / HTTP/1.1\r\n" + b"A: b\r\n" * 200 + b"\r\n"),
+        (431, b"GET / HTTP/1.1\r\nA: " + b"b" * 70_000 + b"\r\n\r\n"),
+        (414, b"GET /" + b"b" * 70_000 + b" HTTP/1.1\r\n\r\n"),
+        (400, b"GET / HTTP/9.9\r\n\r\n"),
+        (400, b"GET / HTTP/one\r\n\r\n"),
+        (400, b"GET\r\n\r\n"),
+        (400, b"PUT /\r\n\r\n"),
+        (403, b"GET /\r\n\r\n"),  # HTTP/0.9
+        (403, b"POST /key/enter HTTP/1.1\r\nHost: localhost\r\nExpect: 100-continue\r\n\r\n"),
+        # What it takes.
+        (400, b"GET / HTTP/1.1\r\nHost: localhost\r\nContent-Length: x\r\n\r\n"),
+        (400, b"GET / HTTP/1.1\r\nHost: localhost\r\nContent-Length: -1\r\n\r\n"),
+        (400, b"GET / HTTP/1.1\r\nHost: localhost\r\nContent-Length: \xb2\r\n\r\n"),
+        (400, b"GET / HTTP/1.1\r\nHost: localhost\r\nContent-Length: " + b"9" * 400 + b"\r\n\r\n"),
+        (400, b"GET / HTTP/1.1\r\nHost: localhost\r\n" + b"Content-Length: 0\r\n" * 2 + b"\r\n"),
+        (400, b"GET / HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\n"),
+        (400, b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: localhost\r\n\r\n"),
+        (400, b"GET / HTTP/1.1\r\nHost: localhost\r\nno colon\r\n\r\n"),
+        (400, b"GET http://localhost/ HTTP/1.1\r\nHost: localhost\r\n\r\n"),
+        (400, b"GET * HTTP/1.1\r\nHost: localhost\r\n\r\n"),
+        (403, b"GET / HTTP/1.1\r\nHost: localhost\r\nOrigin: http://evil.example\r\n\r\n"),
+        (403, b"GET / HTTP/1.1\r\nHost: localhost\r\nOrigin: null\r\n\r\n"),
+        (403, b"GET / HTTP/1.1\r\nHost: localhost\r\nOrigin: \r\n\r\n"),
+        (403, b"GET / HTTP/1.1\r\nHost: localhost\r\nOrigin: file://localhost\r\n\r\n"),
+        (403, b"GET / HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost:1\r\n\r\n"),
+    ],
+)
+def test_every_answer_has_the_headers_and_an_odd_request_is_refused_in_one_line(
+    panel: WebPanel, status: int, request_: bytes
+) -> None:
+    answer = send(panel, request_)
+    if b"Expect" in request_:
+        asked, answer = answer[:25], answer[25:]
+        assert asked == b"HTTP/1.1 100 Continue\r\n\r\n"
+    head, _, content = answer.partition(b"\r\n\r\n")
+    first, *lines = head.decode("ascii").split("\r\n")
+    assert first.startswith(f"HTTP/1.1 {status} ")
+    headers = dict(line.split(": ", 1) for line in lines)
+    assert len(headers) == len(lines)  # none is there twice
+    policy = headers["Content-Security-Policy"]
+    assert "default-src 'none'; script-src 'sha256-" in policy
+    assert "frame-ancestors 'none'" in policy
+    assert headers["X-Frame-Options"] == "DENY"
+    assert headers["X-Content-Type-Options"] == "nosniff"
+    assert headers["Cache-Control"] == "no-store"
+    assert headers["Server"].strip() == "camctl"
+    if status != 200:
+        assert headers["Content-Type"].startswith("text/plain")
+        assert headers["Connection"] == "close"
+        assert b"\n" not in content
+        assert len(content) == (0 if b"HEAD" in request_ else int(headers["Content-Length"]))
+
+
+def test_the_body_of_a_request_is_no_next_request(panel: WebPanel) -> None:
+    inner = b"GET /screen?after=0 HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    head = b"GET / HTTP/1.1\r\nHost: localhost\r\nContent-Length: %d\r\n\r\n" % len(inner)
+    assert send(panel, head + inner).count(b"HTTP/1.1 ") == 1
 
 
 def test_many_silent_clients_do_not_shut_the_others_out(panel: WebPanel) -> None:
@@ -173,24 +250,20 @@ HOSTILE = (
 )
 
 
-@pytest.mark.parametrize("token", ["", "s3cret"])
+@pytest.mark.parametrize("token", ["", "s3cret-of-this-page"])
 def test_no_request_ends_in_a_traceback(token: str, capsys: pytest.CaptureFixture[str]) -> None:
     with WebPanel("0", token=token) as panel:
         panel.show(SCREEN)
 
-        def send(request: bytes) -> bytes:
-            with connect(panel) as connection:
-                connection.sendall(request)
-                connection.shutdown(socket.SHUT_WR)
-                return b"".join(iter(lambda: connection.recv(1 << 16), b""))
-
         for request in HOSTILE:
-            assert not send(request).startswith(b"HTTP/1.1 5"), request
+            assert not send(panel, request).startswith(b"HTTP/1.1 5"), request
 
         @settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
         @given(st.binary(max_size=60), st.sampled_from([b"GET /", b"POST /key/", b""]))
         def any_request(rest: bytes, before: bytes) -> None:
-            send(before + rest + b" HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+            send(
+                panel, before + rest + b" HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
+            )
 
         any_request()
         headers = {"Cookie": f"camctl_token={token}"}
@@ -217,7 +290,7 @@ def test_the_last_result_is_shown_and_handed_over(panel: WebPanel, tmp_path: Pat
 
 def test_a_result_needs_the_token(tmp_path: Path) -> None:
     (tmp_path / "preview.png").write_bytes(b"png")
-    with WebPanel("0", token="secret") as opened:
+    with WebPanel("0", token="secret-of-this-page") as opened:
         opened.show(Screen(Line(("Done",)), folder=str(tmp_path)))
         assert ask(opened, "result/preview.png")[0] == 403
-        assert ask(opened, "result/preview.png?token=secret") == (200, b"png")
+        assert ask(opened, "result/preview.png?token=secret-of-this-page") == (200, b"png")
