@@ -9,7 +9,6 @@ nor reordered.
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -33,6 +32,7 @@ from camctl.sim.photon_counts import (
     STEPS,
     tables,
 )
+from camctl.system.compiled_functions import LoadedLater, compiler
 
 Light = NDArray[np.float32]
 Counts = NDArray[np.float64]
@@ -217,19 +217,9 @@ def load() -> Kernels | None:
     It takes a second: numba is imported, and the machine code read.  The first time in a folder
     and for a processor, it is made, in some seconds.
     """
-    try:
-        import numba
-    except ImportError:
+    compiled = compiler()
+    if compiled is None:
         return None
-
-    def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-        options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-        try:
-            made: Callable[..., Any] = numba.njit(cache=True, **options)(function)
-        except RuntimeError:  # no folder for the machine code can be written
-            made = numba.njit(**options)(function)
-        return made
-
     functions = (_add_noise, _add_uniform, _expand, _add_up, _add_bow, _quantise)
     kernels = Kernels(*(compiled(function) for function in functions))
     light, table = np.ones(1, np.float32), np.ones(1 << 16, np.float32)
@@ -246,24 +236,8 @@ def load() -> Kernels | None:
     return kernels
 
 
-class KernelChoice:
-    """Whether a camera uses the compiled functions.
-
-    Args:
-        is_used: True for at once, if numba is installed; False for never; None for after many
-            samples, from when on they are loaded while frames are rendered without them
-    """
+class KernelChoice(LoadedLater[Kernels]):
+    """Whether a camera uses the compiled functions; `is_used` as in `LoadedLater`."""
 
     def __init__(self, is_used: bool | None) -> None:
-        self._kernels = load() if is_used else None
-        self._samples_left: float = SAMPLES_WORTH_LOADING if is_used is None else math.inf
-
-    def after(self, samples: int) -> Kernels | None:
-        """Return the functions, or None for now, when `samples` more are to be rendered."""
-        before, self._samples_left = self._samples_left, self._samples_left - samples
-        if before > 0 >= self._samples_left:
-            threading.Thread(target=self._load, name="sim-compile").start()
-        return self._kernels
-
-    def _load(self) -> None:
-        self._kernels = load()
+        super().__init__(load, SAMPLES_WORTH_LOADING, is_used)

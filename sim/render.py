@@ -72,7 +72,7 @@ class Renderer:
             effects out; 0 leaves out only what changes no bit
         cache_bytes: memory for what is the same in every frame: the light of a scene without a
             moving target behind the lens, PRNU, DSNU and hot pixels; frames do not depend on it
-        compiled: whether the functions of `camctl.sim.compiled` are used, see `KernelChoice` there;
+        compiled: whether the functions of `camctl.sim.compiled` are used, see `LoadedLater`;
             frames do not depend on it
 
     Raises:

@@ -8,7 +8,6 @@ clipping each frame at black would bias the dark.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from camctl.errors import CaptureError, UsageError
 from camctl.interface.camera import Pixels
+from camctl.pictures.compiled_sum import CHOICE
 
 #: Samples of a tile: its work arrays stay in the cache, and numpy's call overhead is small; of 2^14
 #: to 2^20 the fastest in `tests/bench/bench_live.py`.
@@ -40,6 +40,7 @@ class Accumulator:
         self.total: NDArray[np.unsignedinteger] = np.zeros(shape, sum_dtype(count, white))
         self.white = white
         self._dtype = np.dtype(dtype)
+        self._highest = self._dtype.type(min(white, np.iinfo(self._dtype).max))
         self._clips = white < np.iinfo(self._dtype).max
         # numpy's minimum is vectorised between arrays but not against a scalar: 9 times faster.
         self._ceiling = np.full(min(_TILE, self.total.size), white if self._clips else 0, dtype)
@@ -51,26 +52,35 @@ class Accumulator:
         Raises:
             CaptureError: the frame's shape or type differs from the others
         """
-        self._each_tile((pixels, np.add))
+        self._each_tile((pixels, False))
 
     def withdraw(self, pixels: Pixels) -> None:
         """Subtract a frame that was added before, exactly."""
-        self._each_tile((pixels, np.subtract))
+        self._each_tile((pixels, True))
 
     def exchange(self, old: Pixels, new: Pixels) -> None:
         """Subtract a frame that was added before, and add one in its place, in one pass."""
-        self._each_tile((new, np.add), (old, np.subtract))
+        self._each_tile((new, False), (old, True))
 
-    def _each_tile(self, *steps: tuple[Pixels, Callable[..., object]]) -> None:
+    def _each_tile(self, *steps: tuple[Pixels, bool]) -> None:
+        """Add or subtract (True) frames tile by tile."""
         sources = [self._samples(pixels) for pixels, _ in steps]
         total = self.total.reshape(-1)
-        for start in range(0, total.size, _TILE):
-            here = total[start : start + _TILE]
-            for source, (_, operation) in zip(sources, steps, strict=True):
-                tile = source[start : start + _TILE]
+        sums = CHOICE.after(total.size)
+        # Compiled, one step is one pass already; two steps go over a tile in the cache.
+        size = total.size if sums is not None and len(steps) == 1 else _TILE
+        for start in range(0, total.size, max(size, 1)):
+            here = total[start : start + size]
+            for source, (_, is_subtracted) in zip(sources, steps, strict=True):
+                tile = source[start : start + size]
+                if sums is not None:
+                    work = sums.subtract if is_subtracted else sums.add
+                    work(here, tile, self._highest)
+                    continue
                 if self._clips:
                     narrow = self._narrow[: tile.size]
                     tile = np.minimum(tile, self._ceiling[: tile.size], out=narrow)
+                operation = np.subtract if is_subtracted else np.add
                 operation(here, tile, out=here)
 
     def _samples(self, pixels: Pixels) -> NDArray[Any]:

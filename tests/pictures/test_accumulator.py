@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 
 from camctl.errors import CaptureError, UsageError
 from camctl.pictures.accumulator import Accumulator, sum_dtype
+from camctl.pictures.compiled_sum import load
+from camctl.system.compiled_functions import LoadedLater
 
 
 @given(
@@ -71,3 +73,27 @@ def test_frame_that_is_not_contiguous_is_summed_in_its_own_order() -> None:
     total = Accumulator(frame.shape, frame.dtype, 1, 255)
     total.accumulate(frame)
     assert np.array_equal(total.total, frame)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "white"), [("uint8", 250), ("uint8", 255), ("uint16", 4000), ("uint16", 65535)]
+)
+def test_compiled_sums_are_those_of_numpy(
+    dtype: str, white: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("numba")
+    random = np.random.default_rng(3)
+    most = np.iinfo(dtype).max
+    frames = random.integers(0, most, (3, 40, 61), dtype=np.dtype(dtype), endpoint=True)
+    totals = []
+    for is_used in (False, True):
+        choice = LoadedLater(load, 1, is_used)
+        monkeypatch.setattr("camctl.pictures.accumulator.CHOICE", choice)
+        total = Accumulator(frames[0].shape, frames.dtype, 2, white)
+        total.accumulate(frames[0])
+        total.accumulate(frames[1])
+        total.exchange(frames[0], frames[2])
+        totals.append(total.total.copy())
+        total.withdraw(frames[1])
+        assert np.array_equal(total.total, np.minimum(frames[2], white))
+    assert np.array_equal(*totals)

@@ -86,7 +86,7 @@ def test_the_functions_are_loaded_after_many_samples(monkeypatch: pytest.MonkeyP
         def __init__(self, target: Any, name: str) -> None:
             self.start = target
 
-    monkeypatch.setattr("camctl.sim.compiled.threading.Thread", AtOnce)
+    monkeypatch.setattr("camctl.system.compiled_functions.threading.Thread", AtOnce)
     choice = KernelChoice(None)
     choice.after(SAMPLES_WORTH_LOADING - 1)
     assert not loaded
