@@ -27,6 +27,9 @@ from camctl.cli.request_options import RequestOptions, request_options
 from camctl.errors import UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from camctl.findings import Finding
     from camctl.livestream.outputs import Output
     from camctl.livestream.result import LiveResult
     from camctl.livestream.stream import Live
@@ -112,9 +115,8 @@ def live(
             resources.callback(makers[-1].close)
         resources.enter_context(results)
         assert results.plan is not None  # it has begun
-        for finding in results.plan.findings:
-            print_finding(finding)
         run = _Run(results)
+        run.say(results.plan.findings)
         try:
             for result in results:
                 for maker in makers:
@@ -189,12 +191,21 @@ class _Run:
         self._began = time.perf_counter()
         self._latencies: list[float] = []
         self._last: LiveResult | None = None
+        self._said: set[str] = set()
 
     def add(self, result: LiveResult) -> None:
         """Count a result."""
         self.count += 1
         self._last = result
+        self.say(result.findings)
         self._latencies = [*self._latencies[1 - _RATED :], result.latency_s]
+
+    def say(self, findings: Iterable[Finding]) -> None:
+        """Print the findings whose code has not been printed yet."""
+        for finding in findings:
+            if finding.code not in self._said:
+                self._said.add(finding.code)
+                print_finding(finding)
 
     def json(self) -> dict[str, Any]:
         """Return it for --json."""

@@ -16,6 +16,10 @@ from camctl.errors import UsageError
 _OUTPUT, _PROGRESSIVE, _SRGB = 2, 1, 8
 #: V4L2_CAP_VIDEO_OUTPUT of videodev2.h.
 _CAN_OUTPUT = 0x00000002
+#: Numbers of YUYV are of limited range (BT.601) unless a device says otherwise, and every program
+#: that reads a webcam takes them so: from those of full range.
+_LUMA = np.rint(16 + 219 / 255 * np.arange(256)).astype(np.uint8)
+_CHROMA = np.rint(128 + 224 / 255 * (np.arange(256) - 128.0)).astype(np.uint8)
 _HINT = "load it with: sudo modprobe v4l2loopback exclusive_caps=1 card_label=camctl"
 
 
@@ -91,11 +95,11 @@ class LoopbackDevice:
         picture = picture[:rows, :columns]
         data = np.full((rows, columns, 2), 128, np.uint8)
         if picture.ndim == 2:
-            data[..., 0] = picture
+            data[..., 0] = _LUMA[picture]
         else:
-            data[..., 0] = picture[..., 0]
+            data[..., 0] = _LUMA[picture[..., 0]]
             for place in (0, 1):  # of each two pixels one Cb and one Cr
-                data[:, place::2, 1] = picture[:, ::2, 1 + place]
+                data[:, place::2, 1] = _CHROMA[picture[:, ::2, 1 + place]]
         assert self._descriptor is not None
         try:
             self._kernel.write(self._descriptor, data)
