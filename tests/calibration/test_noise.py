@@ -90,6 +90,7 @@ def test_figures_agree_with_the_sensor(sensor: str, scene: str) -> None:
     assert abs(record.correlation or 0) < 0.03
 
 
+@pytest.mark.slow
 def test_noise_model_is_that_of_the_sensor() -> None:
     model = measure("phone", exposures=8).noise_model()
     assert model.conversion_e_per_dn == pytest.approx(6.0, rel=0.02)

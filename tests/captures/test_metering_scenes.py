@@ -214,6 +214,7 @@ def test_lamps_are_few_and_far_above_the_rest(clips: float, stops: float, name: 
     assert name in light_text(light)
 
 
+@pytest.mark.slow
 def test_light_that_clips_is_said_once(tmp_path: Path) -> None:
     report = shot("outdoor-sun", tmp_path)
     light, metering = report.plan.light, report.plan.metering

@@ -237,6 +237,7 @@ def test_a_response_does_not_use_exposures_that_were_measured_without_one(run: R
     assert not kept.exposures
 
 
+@pytest.mark.slow
 def test_measured_exposures_are_named_where_they_contradict_the_pixels(run: Run) -> None:
     assert run("calibrate", "response", *CURVED).status == 0
     wrong_exposures(-0.9)

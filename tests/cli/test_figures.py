@@ -52,6 +52,7 @@ def test_all_figures_are_drawn_and_none_is_flat(run: Run) -> None:
         assert np.std(picture) > 20, row["figure"]
 
 
+@pytest.mark.slow
 def test_existing_files_are_kept(run: Run) -> None:
     line = (*QUICK, "--only", "3")
     first = run(*line)

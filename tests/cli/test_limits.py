@@ -192,6 +192,7 @@ def test_home_that_cannot_be_used(folder: Path, home: str | None) -> None:
     assert [path.name for path in (folder / "here").iterdir()] == ["out"]
 
 
+@pytest.mark.slow
 def test_home_without_permission(folder: Path) -> None:
     """It may hold the camera's profile, which must not be left out silently."""
     (folder / "home").mkdir(mode=0)

@@ -26,6 +26,7 @@ def without_times(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [{k: v for k, v in row.items() if k not in ("cpu_s", "milliseconds")} for row in rows]
 
 
+@pytest.mark.slow
 def test_solver_rows_hold_the_run_and_what_it_found(run: Run) -> None:
     pytest.importorskip("scipy", reason="scipy is not installed")
     rows = run(*QUICK_SOLVER, "--json", "--workers", "1").json

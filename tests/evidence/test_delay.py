@@ -96,7 +96,7 @@ def keeps_its_delay(monkeypatch: pytest.MonkeyPatch) -> None:
             for late in (-3, -2, -1, 1, 2, 3)
             if load_sensor(sensor).delay_frames + late >= -1  # the frame that is being exposed
         ),
-        every=4,
+        every=8,
     ),
 )
 def test_stale_delay_is_settled_and_the_picture_finished(sensor: str, late: int) -> None:

@@ -104,6 +104,7 @@ def test_the_advice_against_light_that_spreads_helps(scene: str) -> None:
     assert after.spread < 0.8 * report.movement.spread
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sensor",
     ["phone", *(pytest.param(each, marks=pytest.mark.slow) for each in ("standard", "complete"))],

@@ -235,6 +235,7 @@ def test_a_damaged_point_is_found_again(content: bytes, monkeypatch: pytest.Monk
     assert Front(STREAM, LOG, BASE_S).recommended == point
 
 
+@pytest.mark.slow
 def test_another_camera_light_or_goal_has_points_of_its_own() -> None:
     for front in (
         Front(STREAM, LOG, BASE_S),

@@ -15,6 +15,7 @@ from camctl.model.response.desired import DesiredResponse, desired_response
 from camctl.model.response.tabulated import tabulated_desired
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["linear", *(pytest.param(each, marks=pytest.mark.slow) for each in ("gamma", "log"))]
 )

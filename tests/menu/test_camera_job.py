@@ -149,6 +149,7 @@ def test_impossible_choice_says_why(camera: RecordingCamera, tmp_path: Path) -> 
     assert "0.001 s" in cost.problem
 
 
+@pytest.mark.slow
 def test_points_of_the_front_are_planned_as_they_are_listed(
     camera: RecordingCamera, tmp_path: Path
 ) -> None:

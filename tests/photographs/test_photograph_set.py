@@ -81,6 +81,7 @@ def test_an_exact_label_that_is_wrong_is_left_out(opened: Opened) -> None:
     assert len(found.camera.photographs) == 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("place", "factor"), [(0, 1.6), *slow((3, 0.6))])
 def test_one_wrong_label_does_not_bend_the_response(
     opened: Opened, place: int, factor: float
