@@ -1,4 +1,4 @@
-"""Measure a camera: its response, noise, true exposures, dark signal and control delay.
+"""Measure a camera: response, noise, true exposures, colours, dark signal and control delay.
 
 Each function takes an open camera, which it lets shoot what it needs, or frames that were taken
 before: arrays with their exposures, paths of photographs, or a capture (its report, or the path of
@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike, NDArray
 
+from camctl.calibration.colour import measure_colour
 from camctl.calibration.delay import TRIALS, delay_of_frames, measure_delay
 from camctl.calibration.exposures import REPEATS, measure_exposures, record_of_frames
 from camctl.calibration.frames import Response, Source, response_named, scene_frames
@@ -36,6 +37,7 @@ from camctl.calibration.response.estimate import Chart, estimate_response
 from camctl.calibration.response.shooting import FRAMES, measure_response
 from camctl.calibration.results import (
     ChannelResult,
+    ColourResult,
     DelayResult,
     ExposureResult,
     NoiseResult,
@@ -57,10 +59,14 @@ from camctl.profiles.profile import load_profile
 if TYPE_CHECKING:
     from camctl.calibration.response.series import Series
 
-__all__ = ["dark", "delay", "exposure", "noise", "response"]
+__all__ = ["colour", "dark", "delay", "exposure", "noise", "response"]
 
 Progress = Callable[[float], None] | None
 """Called with the share that is done, 0 to 1."""
+
+COLOUR_FRAMES = 4
+"""Frames of a chart: the darkest patch has 1/30 of the light of white, three of them a stop apart
+expose each well (`chart_samples`), and one is to spare."""
 
 MACBETH = "macbeth"
 """Name of the chart of 24 patches that is looked for."""
@@ -317,6 +323,74 @@ def _given(controls: ExposureControls, response: Response) -> CameraResponse | N
     if response is None:
         return None
     return response_named(response, controls.bits, controls.black, controls.white)
+
+
+def colour(
+    source: Camera | Source,
+    exposures: Sequence[float] | None = None,
+    *,
+    response: Response = None,
+    black: int | None = None,
+    white: int | None = None,
+    layout: Layout | str | None = None,
+    count: int = COLOUR_FRAMES,
+    longest_s: float = LONGEST_S,
+    progress: Progress = None,
+) -> ColourResult:
+    """Measure the colours with a Macbeth chart of 24 patches in view, which is looked for.
+
+    The chart should fill half of the picture or more, lit evenly, without reflections.
+
+    Args:
+        source: an open camera, or frames; one is enough if no patch is saturated in it
+        exposures: of the frames, s; None: as their files state them
+        response: of the camera, or its name; None: as measured or stated; of JPEG files sRGB, of
+            other frames linear
+        black: brightness without light, DN; None: as files state it, else 0
+        white: brightness from which samples are saturated, DN; None: as files state it
+        layout: of arrays: the Bayer pattern, such as "rggb"
+        count: frames to shoot, at least 2
+        longest_s: longest shutter time, s
+        progress: called with the share that is done
+
+    Raises:
+        CaptureError: the scene is too dark or too bright
+        DataError: the response is only assumed, there is no chart, or it is not well exposed
+        UsageError: levels, exposures or response do not fit the frames
+        CameraError: as `camctl.Camera.shoot` raises
+    """
+    frames: list[NDArray[Any]] = []
+    findings: list[Finding] = []
+    if isinstance(source, Camera):
+        controls, given = source.controls, _given(source.controls, response)
+        if given is None:
+            controls.check_response("colour")
+        series = measure_response(
+            source, count=count, longest_s=longest_s, frames=frames, progress=progress
+        )
+        of_channels = controls.responses or (given or controls.levels,) * 3
+        if given is not None:
+            of_channels = (given,) * 3
+        camera: CameraInfo | None = source.info
+        mode = exposure_mode(controls)
+    else:
+        found = scene_frames(
+            source,
+            exposures,
+            black=black,
+            white=white,
+            layout=layout,
+            needs_times=lambda count: count > 1,
+        )
+        of_channels = tuple(found.responses(response).values())
+        series, camera, mode = found.series(frames), found.camera, found.mode
+        findings = found.findings
+    if series.layout is Layout.MONO:
+        raise DataError(
+            "the frames are monochrome and have no colours", hint="measure a colour camera"
+        )
+    record = measure_colour(frames, series, of_channels)
+    return ColourResult(**dict(record), findings=tuple(findings), camera=camera, mode=mode)
 
 
 def delay(

@@ -17,6 +17,7 @@ from camctl.calibration.single_steps import StepResult
 from camctl.errors import UsageError
 from camctl.findings import Finding
 from camctl.interface.camera import CameraInfo
+from camctl.profiles.colour import ColourRecord
 from camctl.profiles.exposures import ExposureRecord
 from camctl.profiles.noise import Figure, NoiseRecord
 from camctl.profiles.profile import DelayRecord, FrameTiming, Profile, change_profile
@@ -202,6 +203,18 @@ class ExposureResult(ExposureRecord, Result):
 
     def _keep(self, profile: Profile) -> None:
         profile.add_exposures(self.mode, self.record)
+
+
+class ColourResult(ColourRecord, Result):
+    """The colours of a camera."""
+
+    @property
+    def record(self) -> ColourRecord:
+        """The record for the profile."""
+        return _part(ColourRecord, self)
+
+    def _keep(self, profile: Profile) -> None:
+        profile.colours[self.mode] = self.record
 
 
 class DelayResult(DelayRecord, Result):

@@ -16,6 +16,7 @@ from pydantic import ConfigDict, TypeAdapter
 from typing_extensions import TypedDict
 
 from camctl.calibration.results import (
+    ColourResult,
     DelayResult,
     ExposureResult,
     NoiseResult,
@@ -309,6 +310,7 @@ class Figure(TypedDict):
 
 TYPES: Final[dict[str, Any]] = {
     "calibrate all": StepsResult,
+    "calibrate colour": ColourResult,
     "calibrate delay": DelayResult | StillTiming,
     "calibrate exposure": ExposureResult,
     "calibrate noise": NoiseResult,

@@ -94,6 +94,7 @@ def _measured(found: Profile) -> str:
         "response": found.responses,
         "exposures": found.exposures,
         "noise": found.noises,
+        "colours": found.colours,
     }
     return ", ".join(name for name, modes in records.items() if modes) or "nothing"
 
@@ -144,7 +145,7 @@ def show(name: str, plot: Path | None, force: bool, as_json: bool) -> None:
 def _measurements(found: Profile) -> list[tuple[str, str]]:
     """Return name and value of each record."""
     rows = []
-    known = {*found.responses, *found.exposures, *found.noises}
+    known = {*found.responses, *found.exposures, *found.noises, *found.colours}
     for mode, delay in found.delays.items():
         name = _mode_of_delay(mode, known)
         rows.append((f"delay in {name}", f"{format_delay(delay)}; {delay.trials} trials"))
@@ -164,6 +165,11 @@ def _measurements(found: Profile) -> list[tuple[str, str]]:
         rows.append((f"response in {mode}", f"channels {channels}; {'; '.join(sorted(levels))}"))
         rows.append(("", f"measured {response.measured_at}, {response.frames} frames"))
         rows += [("", line) for line in _curves(response)]
+    for mode, colour in found.colours.items():
+        mean, largest = colour.mean_difference, colour.largest_difference
+        error = f"CIEDE2000 {mean:.2f} in the mean, {largest:.2f} at most"
+        rows.append((f"colours in {mode}", error))
+        rows.append(("", f"measured {colour.measured_at}"))
     for mode, noise in found.noises.items():
         for each in noise.gains:
             conversion, read_noise = each.conversion_e_per_dn, each.read_noise_e

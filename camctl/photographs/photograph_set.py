@@ -37,6 +37,7 @@ from camctl.photographs.response import (
     ASSUMED,
     FROM_PHOTOGRAPHS,
     OF_THEIR_EXPOSURES,
+    known_colour,
     known_controls,
 )
 from camctl.photographs.selection import Selection, Views, distinct, of_one_colour, of_one_view
@@ -165,7 +166,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     planes = [each.shape for each in files.format.layout.planes(first)]
     exposures = [each.exposure for each in photographs]
     facts += [at(each, positions) for each in contradictions(exposures, patches, scale, planes)]
-    colour = files.format.colour if source.colour == "bt709" else None
+    colour = known_colour(files, controls.white) if source.colour == "bt709" else None
     controls = replace(controls, colour=colour)
     camera = PhotographCamera(
         photographs,

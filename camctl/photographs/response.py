@@ -11,6 +11,7 @@ from camctl.calibration.response.colours import NUMBERS, PatchRatios, grey_scale
 from camctl.calibration.response.estimate import estimate_response
 from camctl.errors import DataError
 from camctl.findings import Detail, Finding
+from camctl.interface.colour import CameraColour
 from camctl.interface.controls import Choices, ExposureControls, ResponseOrigin
 from camctl.model.response.camera import FloatArray, named_response, standard_response
 from camctl.model.response.measured import read_curve
@@ -125,6 +126,19 @@ def known_controls(
         return replace(estimated, response=scaled[1], responses=scaled), _ESTIMATED
     is_common = len(series.channels) > 1
     return estimated, _ESTIMATED_COMMON if is_common else _ESTIMATED
+
+
+def known_colour(files: PhotographFiles, white: int) -> CameraColour | None:
+    """Return the colours in the profile of the camera, else those that the files state.
+
+    The white balance is as the files state it.
+    """
+    stated = files.format.colour
+    mode = mode_name(files.format.layout, files.format.shape_on_sensor, white)
+    found = [each.colours[mode] for each in profiles_of(files.taken_by) if mode in each.colours]
+    if len(found) != 1:
+        return stated
+    return found[0].camera_colour(None if stated is None else stated.white_balance)
 
 
 def _standards(controls: ExposureControls) -> dict[tuple[str, float], ExposureControls]:

@@ -1,8 +1,9 @@
 """A camera with what its profile says of it: the one place where calibrations are applied.
 
 `camctl.open_camera` returns such a camera where the profile has measurements for the camera's mode.
-Response, noise, true exposures and hot pixels replace what the driver states of them; the control
-delay and the formats of files are read by the drivers themselves, since they open a camera with it.
+Response, noise, true exposures, colours and hot pixels replace what the driver states of them; the
+control delay and the formats of files are read by the drivers themselves, since they open a camera
+with it.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ from camctl.profiles.profile import Profile, ignored_profiles, load_profile
 from camctl.profiles.response import ResponseRecord
 from camctl.system.interrupts import entering, uninterrupted
 
-EXPOSURES, RESPONSE, NOISE = "exposures", "response", "noise"
-PARTS = (EXPOSURES, RESPONSE, NOISE)
+EXPOSURES, RESPONSE, NOISE, COLOUR = "exposures", "response", "noise", "colour"
+PARTS = (EXPOSURES, RESPONSE, NOISE, COLOUR)
 """Parts of a profile that are applied to a camera."""
 
 _log = logging.getLogger(__name__)
@@ -60,6 +61,7 @@ def with_profile(camera: Camera, parts: Collection[str] = PARTS) -> Camera:
         EXPOSURES: profile.exposures,
         RESPONSE: profile.responses,
         NOISE: profile.noises,
+        COLOUR: profile.colours,
     }
     if not any(measured[part] for part in parts):
         return camera
@@ -92,6 +94,9 @@ def calibrated(
         if noise.dark is not None:
             changes["hot_pixels"] = _hot_pixels(controls, noise.dark)
         dates[NOISE] = noise.measured_at
+    if COLOUR in parts and (colour := profile.colours.get(mode)) is not None:
+        changes["colour"] = colour.camera_colour()
+        dates[COLOUR] = colour.measured_at
     if not dates:
         return controls
     days = {name: text[:10] for name, text in dates.items()}
@@ -189,7 +194,8 @@ class CalibratedCamera:
         if not controls.has_assumed_response and controls.noise is not None:
             return  # the driver states what the profile would replace
         profile = self._profile
-        modes = sorted({*profile.exposures, *profile.responses, *profile.noises})
+        measured = profile.exposures, profile.responses, profile.noises, profile.colours
+        modes = sorted({mode for records in measured for mode in records})
         _log.info(
             "no measurements for %s in the camera's profile, only for %s",
             exposure_mode(controls),

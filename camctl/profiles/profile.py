@@ -34,6 +34,7 @@ from camctl.errors import DataError, StorageError
 from camctl.interface.camera import CameraInfo, MeasuredDelay
 from camctl.interface.clock import CaptureTiming
 from camctl.interface.controls import Layout
+from camctl.profiles.colour import ColourRecord
 from camctl.profiles.exposures import ExposureRecord
 from camctl.profiles.noise import NoiseRecord
 from camctl.profiles.response import ResponseRecord
@@ -196,6 +197,7 @@ class Profile(BaseModel):
         timings: what it needs beside its exposures, by file format
         responses: measured responses by mode, as `exposures`
         noises: measured noise by mode, as `exposures`
+        colours: measured colours by mode, as `exposures`
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -211,6 +213,7 @@ class Profile(BaseModel):
     timings: _ByMode[TimingRecord] = {}
     responses: _ByMode[ResponseRecord] = {}
     noises: _ByMode[NoiseRecord] = {}
+    colours: _ByMode[ColourRecord] = {}
 
     @classmethod
     def of(cls, info: CameraInfo) -> Self:

@@ -45,6 +45,18 @@ LINES: dict[str, list[tuple[str, ...]]] = {
         ("simulate", "--scene", "uniform", "--size", "16x12", "--explain"),
         ("simulate", "--scene", "uniform", "--size", "16x12", "--bracket", "1,2"),
     ],
+    "calibrate colour": [
+        (
+            "calibrate",
+            "colour",
+            "--scene",
+            "colour-chart",
+            "--sensor",
+            "webcam",
+            "-O",
+            "size=320x240",
+        )
+    ],
     "calibrate delay": [("calibrate", "delay", *SIZE, "--trials", "2")],
     "calibrate exposure": [("calibrate", "exposure", *SMALL_PHONE, "--repeats", "2")],
     "calibrate noise": [("calibrate", "noise", *SMALL_PHONE, "-n", "4")],

@@ -24,6 +24,7 @@ BASES = {
     "studio": ("--scene uniform -O size=16x12 --address nowhere",),
     "cameras": ("",),
     "calibrate all": ("--scene uniform -O size=16x12 --longest 0.01 -O unknown=yes",),
+    "calibrate colour": ("--scene colour-chart --sensor webcam -O size=320x240 -n 3",),
     "calibrate delay": ("--scene uniform -O size=16x12 --trials 2",),
     "profile list": ("",),
     "profile show": ("nothing",),

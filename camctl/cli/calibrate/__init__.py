@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 calibrate = LazyGroup(
     "calibrate",
-    ("all", "noise", "response"),
+    ("all", "colour", "noise", "response"),
     package="camctl.cli.calibrate",
     help="Measure a camera and keep the result in its profile.",
     examples=(
@@ -29,6 +29,7 @@ calibrate = LazyGroup(
         ("camctl calibrate exposure --camera ptp:123", "the true exposure of its settings"),
         ("camctl calibrate response --camera v4l2:/dev/video0", "its response, from any scene"),
         ("camctl calibrate noise --camera v4l2:/dev/video0", "its noise, from any scene"),
+        ("camctl calibrate colour --camera v4l2:/dev/video0", "its colours, from a Macbeth chart"),
         ("camctl profile list", "the profiles of all cameras"),
     ),
 )
