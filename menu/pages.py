@@ -37,7 +37,8 @@ def idle(model: Model) -> Screen:
             words = (
                 f"Shortest exposure {time}, {clipped} clipped",
                 f"{time}  {clipped} clip",
-                f"{time} {clipped}",
+                f"{clipped} clipped",
+                f"{clipped} clip",
             )
         else:
             rate = f"{reading.rate:.1f}" if reading.rate else "..."
@@ -161,7 +162,7 @@ def _summary(summary: Summary) -> Screen:
                 (
                     f"{levels} effective levels, {planned} planned",
                     f"{levels} levels, {planned} planned",
-                    f"{levels}/{planned} levels",
+                    f"{levels} of {planned} levels",
                     f"{levels} levels",
                 )
             ),

@@ -216,15 +216,15 @@ def _cost_detail(model: Model, index: int) -> tuple[str, ...]:
         return (cost.problem, "not possible")
     levels, (shutter, wall) = format_levels(cost.effective_levels), _times(cost)
     quality = "effective levels" + (", noise counted" if cost.noise_known else ", noise unknown")
-    short, count = shutter.replace(" ", ""), f"{cost.count} frames: "
+    time, count = wall or shutter, f"{cost.count} frames: "
     exposed = f"{shutter} the shortest exposure" if cost.is_relative else f"{shutter} exposed"
     total = f", {wall} in all" if wall else ""
     return (
         f"{count}{exposed}{total}, {levels} {quality}",
         f"{exposed}{total}, {levels} {quality}",
         f"{shutter} exposed{total}, {levels} levels",
-        f"{short}/{wall.replace(' ', '')} {levels} levels" if wall else f"{short} {levels} levels",
-        f"{short} {levels} levels",
+        f"{time}, {levels} levels",
+        f"{time.replace(' ', '')} {levels} levels",
         f"{levels} levels",
     )
 

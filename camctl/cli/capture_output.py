@@ -224,7 +224,8 @@ def capture_text(report: CaptureReport, directory: Path, *, with_bars: bool = Fa
     rows += [
         *_frame_rows(report),
         *_levels_rows(achieved, plan),
-        *_front_rows(plan, report.camera.id),
+        # Photographs are not taken again, whatever more time would bring.
+        *(_front_rows(plan, report.camera.id) if report.repeatable else ()),
         (
             "missing levels (xi)",
             f"{format_number(achieved.xi, 5)} of {format_number(plan.levels_wanted)}",

@@ -88,7 +88,7 @@ def test_without_points_the_list_says_why() -> None:
 
 def test_every_choice_of_a_list_is_predicted() -> None:
     job = FakeJob()
-    script: Script = [("[Set]", Key.ENTER), ("1.79", Key.EXIT)]
+    script: Script = [("[Set]", Key.ENTER), ("1.88 s, 100", Key.EXIT)]
     run(ScriptedPanel([*script, *quit_from("[Set]")[1:]]), lambda: job)
     assert [each.response for each in job.predicted[:4]] == ["log", "linear", "gamma", "auto"]
 
