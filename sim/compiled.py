@@ -24,12 +24,16 @@ from camctl.sim.photon_counts import (
     EXPANSION,
     EXPONENTIAL,
     FIRST_PLACE,
+    GUIDE_CELLS,
+    GUIDE_STEPS,
     LARGEST_CHECKED,
     LEAST_EXPANDED,
     MOST_COUNTED,
     PART_BITS,
     PART_SHIFT,
     STEPS,
+    UNSURE,
+    guide,
     tables,
 )
 from camctl.system.compiled_functions import LoadedLater, compiler
@@ -83,6 +87,7 @@ def _add_noise(
 
 
 _CELL, _FIRST, _PART = np.uint64(CELL_SHIFT), np.uint64(FIRST_PLACE), np.uint64(PART_SHIFT)
+_LOW_MEAN, _ROWS, _UNSURE = np.float32(LEAST_EXPANDED), np.float32(GUIDE_STEPS), np.uint8(UNSURE)
 _PART_MASK, _PART_UNIT = np.uint64((1 << PART_BITS) - 1), 2.0**-PART_BITS
 
 
@@ -103,6 +108,27 @@ def _add_uniform(state: NDArray[np.uint64], unit: float, first: float, out: Coun
         out[i + 2] = (out[i + 2] + np.float64(np.int32((word >> _32) & _LOW)) + first) * unit
         out[i + 3] = (out[i + 3] + np.float64(np.int32(word >> _48)) + first) * unit
     state[0], state[1], state[2], state[3] = a, b, c, counter
+
+
+def _look_up(
+    uniform: Counts, counts: NDArray[np.uint8], means: Light, left: NDArray[np.int64]
+) -> int:
+    """Replace low means at the places `left` by their Poisson quantiles where the guide gives them.
+
+    Returns:
+        how many are not replaced; their places are the first of `left`
+    """
+    found = 0
+    for j in range(left.size):
+        i = left[j]
+        count = _UNSURE
+        if means[i] < _LOW_MEAN:
+            row = np.uint64(np.int32(means[i] * _ROWS))
+            count = counts[row, np.uint64(np.int32(uniform[i] * GUIDE_CELLS))]
+        left[found] = i
+        found += count == _UNSURE
+        means[i] = means[i] if count == _UNSURE else np.float32(count)
+    return found
 
 
 def _expand(uniform: Counts, normal: Counts, means: Light, left: NDArray[np.int64]) -> int:
@@ -204,6 +230,7 @@ class Kernels:
 
     add_noise: Callable[[NDArray[np.uint64], Light, Light, bool], None]
     add_uniform: Callable[[NDArray[np.uint64], float, float, Counts], None]
+    look_up: Callable[[Counts, NDArray[np.uint8], Light, NDArray[np.int64]], int]
     expand: Callable[[Counts, Counts, Light, NDArray[np.int64]], int]
     add_up: Callable[[Counts, Counts, Counts, Light, NDArray[np.int64]], None]
     add_bow: Callable[[Light, np.float32, np.float32], None]
@@ -220,7 +247,7 @@ def load() -> Kernels | None:
     compiled = compiler()
     if compiled is None:
         return None
-    functions = (_add_noise, _add_uniform, _expand, _add_up, _add_bow, _quantise)
+    functions = (_add_noise, _add_uniform, _look_up, _expand, _add_up, _add_bow, _quantise)
     kernels = Kernels(*(compiled(function) for function in functions))
     light, table = np.ones(1, np.float32), np.ones(1 << 16, np.float32)
     table.setflags(write=False)
@@ -228,6 +255,7 @@ def load() -> Kernels | None:
     kernels.add_uniform(np.ones(4, np.uint64), 1.0, 0.5, np.zeros(4))
     normal, exponentials, inverses = tables()
     uniform, left = np.full(1, 0.5), np.zeros(1, np.int64)
+    kernels.look_up(uniform, guide(), light, left)
     kernels.expand(uniform, normal, light, left)
     kernels.add_up(uniform, exponentials, inverses, light, left)
     kernels.add_bow(light, _TWO, _ZERO)

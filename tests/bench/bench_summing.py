@@ -14,6 +14,8 @@ import argparse
 import time
 from collections.abc import Callable
 from functools import partial
+from typing import Any
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -41,7 +43,8 @@ def seconds(work: Callable[[], object]) -> float:
 
 def sums(bits: int, white: int, shape: tuple[int, int], count: int, rounds: int) -> None:
     """Print one row for frames of `bits`: processor time of a sum, and over that of its rivals."""
-    dtype = np.dtype(np.uint8 if bits == 8 else np.uint16)
+    dtype: np.dtype[np.unsignedinteger[Any]]
+    dtype = np.dtype(np.uint8) if bits == 8 else np.dtype(np.uint16)
     block = np.random.default_rng(0).integers(0, 1 << bits, 1 << 20, dtype=dtype)
     frame = np.resize(block, shape)
     total = Accumulator(shape, dtype, count, white)
@@ -54,8 +57,8 @@ def sums(bits: int, white: int, shape: tuple[int, int], count: int, rounds: int)
     }
 
     def add(name: str) -> None:
-        accumulator.CHOICE = choices[name]
-        total.accumulate(frame)
+        with mock.patch.object(accumulator, "CHOICE", choices[name]):
+            total.accumulate(frame)
 
     works: dict[str, Callable[[], object]] = {
         "numpy": lambda: add("numpy"),

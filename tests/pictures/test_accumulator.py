@@ -96,4 +96,4 @@ def test_compiled_sums_are_those_of_numpy(
         totals.append(total.total.copy())
         total.withdraw(frames[1])
         assert np.array_equal(total.total, np.minimum(frames[2], white))
-    assert np.array_equal(*totals)
+    assert np.array_equal(totals[0], totals[1])

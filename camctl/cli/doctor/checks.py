@@ -79,7 +79,7 @@ EXTRAS: Final = {
     "mqtt": "Home Assistant and MQTT, for the menu",
     "plots": "plots: `--plot`, `camctl figures`, `plot` of calibrations",
     "studies": "the other methods in `camctl tradeoff solver`, and plots",
-    "fast": "a faster simulated camera",
+    "fast": "a faster simulated camera, and faster sums in long live streams",
     "bluesky": "a detector for bluesky's RunEngine",
     "dask": "studies on a Dask cluster",
 }
