@@ -34,7 +34,7 @@ def idle(model: Model) -> Screen:
     else:
         time, clipped = format_short_time(reading.time_s), format_percent(reading.clipped)
         if reading.rate is None:
-            words = (
+            words: tuple[str, ...] = (
                 f"Shortest exposure {time}, {clipped} clipped",
                 f"{time}  {clipped} clip",
                 f"{clipped} clipped",
