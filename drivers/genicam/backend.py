@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from camctl.drivers.genicam.camera import GenicamCamera, GenicamOptions
+from camctl.drivers.genicam.camera import GenicamCamera
 from camctl.drivers.genicam.libraries import camera_info, find_device, is_installed, library
+from camctl.drivers.genicam.preparation import GenicamOptions
 from camctl.drivers.genicam.recording import record
 from camctl.interface.camera import CameraInfo
 

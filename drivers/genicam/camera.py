@@ -12,33 +12,34 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 from statistics import median
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import BeforeValidator, Field
 
-from camctl.drivers.common.gain_unit import GainUnit, parse_gain
 from camctl.drivers.common.stream_camera import StreamCamera
 from camctl.drivers.genicam import sequencer
 from camctl.drivers.genicam.controls import TOLERANCE, US_PER_S, ExposureControl
 from camctl.drivers.genicam.evidence import Scale, StatedExposures
-from camctl.drivers.genicam.formats import PixelFormat, choose_format
+from camctl.drivers.genicam.formats import choose_format
 from camctl.drivers.genicam.libraries import DRIVER, camera_info
 from camctl.drivers.genicam.port import (
-    CHUNKS,
     FeatureError,
     FoundDevice,
     Kind,
     Library,
-    Limits,
     OpenDevice,
     Received,
+)
+from camctl.drivers.genicam.preparation import (
+    GenicamOptions,
+    choose_rate,
+    choose_trigger,
+    turn_chunks_on,
 )
 from camctl.drivers.genicam.slots import FreeRunFrames, TriggeredSlots
 from camctl.drivers.genicam.uploaded import UploadedCycle, UploadedSequence
 from camctl.errors import CameraError, CameraProtocolError, UsageError
 from camctl.findings import Finding, note
-from camctl.interface.backends import BackendOptions, LowerCase
 from camctl.interface.camera import CameraInfo, CyclePlace, Frame, MeasuredDelay, Pixels
 from camctl.interface.clock import CaptureTiming, Clock, RealClock
 from camctl.interface.controls import (
@@ -64,8 +65,6 @@ from camctl.streaming import (
 _BUFFERS = 8
 #: Silence after which the camera counts as frozen, s, beyond an exposure.
 SILENCE_S = 10.0
-#: Frames a second of a free run, at least, unless others are asked for: as of V4L2 cameras.
-_LEAST_FPS = 15.0
 #: A released frame is exposed after the setting was written, so its delay is 0 in most cameras;
 #: image sensors that take their registers over at the end of a frame need up to two more.
 _TRIGGERED_DELAY = ControlDelay(0, 2, DelayOrigin.ASSUMED)
@@ -77,40 +76,6 @@ _FIRST_EXPOSURE_S = 0.002
 _TIMED_FRAMES = 4
 #: Different codes of a frame from which it shows how many of its bits are used.
 _LEAST_CODES = 64
-
-
-class GenicamOptions(BackendOptions):
-    """Options of a GenICam camera.
-
-    Attributes:
-        library: aravis or viva; "auto": the first of them that is installed
-        format: an entry of the camera's PixelFormat, or "auto" for the most bits
-        trigger: "software": each frame is released; "off": free run; "auto": software if possible
-        fps: frames a second of a free run; None: the fewest from 15 on, because no exposure is
-            longer than the interval between frames
-        bits: bits that the samples of a 16-bit format use, the upper ones; None: by the first frame
-        black: brightness without light, DN; None: 0
-        white: brightness from which a sample counts as saturated, DN; None: the largest; it is less
-            where the pixels are full before the converter is
-        black_level: value for the camera's BlackLevel; None: as it is
-        gain: what the values of the gain add; None: dB where the camera says so
-        chunks: "auto": exposures that the camera states are compared; "off"
-        sequencer: "on": a list of exposures is uploaded and taken without a pause
-        response: one of `model.response.camera.RESPONSES`
-    """
-
-    library: Annotated[Literal["auto", "aravis", "viva"], LowerCase] = "auto"
-    format: Annotated[str, LowerCase] = "auto"
-    trigger: Annotated[Literal["auto", "software", "off"], LowerCase] = "auto"
-    fps: float | None = Field(default=None, gt=0, le=10_000, allow_inf_nan=False)
-    bits: int | None = Field(default=None, ge=9, le=16)
-    black: int | None = Field(default=None, ge=0)
-    white: int | None = Field(default=None, ge=1)
-    black_level: float | None = Field(default=None, allow_inf_nan=False)
-    gain: Annotated[GainUnit | None, BeforeValidator(parse_gain)] = None
-    chunks: Annotated[Literal["auto", "off"], LowerCase] = "auto"
-    sequencer: Annotated[Literal["on", "off"], LowerCase] = "off"
-    response: Annotated[str, LowerCase] = "linear"
 
 
 class GenicamCamera(StreamCamera[Received]):
@@ -205,17 +170,20 @@ class GenicamCamera(StreamCamera[Received]):
         device, options, name = self._device, self._options, self._name
         self._info = info = camera_info(self._found, device)
         self._exposure = exposure = ExposureControl(device, name, options.gain)
-        self._format = self._choose_format(options.format)
+        self._format = choose_format(device.entries("PixelFormat"), options.format, name)
+        device.write("PixelFormat", self._format.name)
         if options.black_level is not None:
             device.write("BlackLevel", options.black_level)
-        self._is_triggered = self._choose_trigger(options.trigger)
-        self._has_chunks, findings = False, []
-        if options.chunks == "auto":
-            findings = self._turn_chunks_on()
+        self._is_triggered = choose_trigger(device, name, options.trigger)
+        self._has_chunks, findings = (
+            turn_chunks_on(device) if options.chunks == "auto" else (False, [])
+        )
         self._sets = sequencer.sets(device) if options.sequencer == "on" else 0
         if options.sequencer == "on" and not self._sets:
             raise UsageError(f"{name} has no sequencer", hint="leave it off")
-        interval_s = 0.0 if self._is_triggered else 1 / self._choose_rate(options.fps)
+        interval_s = 0.0
+        if not self._is_triggered:
+            interval_s = 1 / choose_rate(device, exposure, name, options.fps)
         times = exposure.times(interval_s or None)
         gain = exposure.gains.minimum
         exposure.write(ExposureSetting(times.nearest(_FIRST_EXPOSURE_S), gain))
@@ -250,90 +218,6 @@ class GenicamCamera(StreamCamera[Received]):
             tolerance=TOLERANCE,
             findings=(*exposure.findings, *findings, *used, *delay.findings(info.id)),
         )
-
-    def _choose_format(self, requested: str) -> PixelFormat:
-        device = self._device
-        chosen = choose_format(device.entries("PixelFormat"), requested, self._name)
-        device.write("PixelFormat", chosen.name)
-        return chosen
-
-    def _choose_trigger(self, requested: str) -> bool:
-        """Turn all triggers off, and the software trigger on where it is used; return whether."""
-        device = self._device
-        if device.kind("AcquisitionMode") is Kind.ENUMERATION:
-            device.write("AcquisitionMode", "Continuous")
-        if device.kind("TriggerMode") is None:
-            return self._without_trigger(requested)
-        selectors: Sequence[str] = ("",)
-        if device.kind("TriggerSelector") is Kind.ENUMERATION:
-            selectors = device.entries("TriggerSelector")
-        for each in selectors:
-            if each:
-                device.write("TriggerSelector", each)
-            with suppress(FeatureError):  # not every trigger can be turned on at all
-                device.write("TriggerMode", "Off")
-        if requested == "off":
-            return False
-        if device.kind("TriggerSoftware") is None or not {"FrameStart", ""} & set(selectors):
-            return self._without_trigger(requested)
-        if selectors[0]:
-            device.write("TriggerSelector", "FrameStart")
-        if "Software" not in device.entries("TriggerSource"):
-            return self._without_trigger(requested)
-        device.write("TriggerSource", "Software")
-        device.write("TriggerMode", "On")
-        if device.kind("AcquisitionFrameRateEnable") is Kind.BOOLEAN:
-            with suppress(FeatureError):
-                device.write("AcquisitionFrameRateEnable", False)
-        return True
-
-    def _without_trigger(self, requested: str) -> bool:
-        if requested == "software":
-            raise UsageError(
-                f"{self._name} has no software trigger",
-                hint="leave it out: frames are taken from a free run then",
-                remedies={"option:trigger": "off"},
-            )
-        return False
-
-    def _choose_rate(self, fps: float | None) -> float:
-        """Set the frame rate of a free run and return it."""
-        device = self._device
-        self._exposure.write(
-            ExposureSetting(self._exposure.times().minimum, self._exposure.gains.minimum)
-        )
-        for switch in ("AcquisitionFrameRateEnable", "AcquisitionFrameRateEnabled"):
-            if device.kind(switch) is Kind.BOOLEAN:
-                device.write(switch, True)
-        name = "AcquisitionFrameRate"
-        if device.kind(name) is None:
-            return fps or 2 * _LEAST_FPS
-        limits: Limits = device.limits(name)
-        wanted = _LEAST_FPS if fps is None else fps
-        if fps is not None and not limits.minimum <= fps <= limits.maximum:
-            raise UsageError(
-                f"{self._name} does not offer {fps:g} frames a second",
-                hint=f"it offers {limits.minimum:g} to {limits.maximum:g}",
-            )
-        device.write(name, min(max(wanted, limits.minimum), limits.maximum))
-        return float(device.read(name))
-
-    def _turn_chunks_on(self) -> list[Finding]:
-        """Let frames state their exposures, where the camera can."""
-        device = self._device
-        if device.kind("ChunkModeActive") is None:
-            return []
-        try:
-            device.write("ChunkModeActive", True)
-            offered = device.entries("ChunkSelector")
-            for each in CHUNKS:
-                if each in offered:
-                    device.write("ChunkSelector", each)
-                    device.write("ChunkEnable", True)
-            self._has_chunks = "ExposureTime" in offered
-        except FeatureError as error:
-            return [note(f"the camera's chunk data are not used: {error}")]
-        return []
 
     def _start_pipeline(self, interval_s: float) -> Received:
         """Make the pipeline and return the first frame."""
