@@ -51,9 +51,12 @@ MAX_EXACT_SCORES = 24
 MOVED_SETS = 900
 """Sets that are changed in all rounds."""
 
-MOST_SECONDS, RANKED_SECONDS = 30.0, 5.0
-"""Processor time for all scores of a batch, and for those that decide at the end, about, at most.
-Cameras of many levels are searched with fewer of them."""
+MOST_SECONDS, RANKED_SECONDS = 8.0, 3.0
+"""Processor time for all scores of random moves, and for those that decide at the end, about, at
+most.  Cameras of many levels are searched with fewer of them."""
+
+ENUMERATED_SECONDS, FINE_ENUMERATED_SECONDS = 30.0, 10.0
+"""The same for the scores of all sets; less where the search for arbitrary exposures takes long."""
 
 MAX_BASES, RANDOM_SETS = 4096, 256
 """Starts: the best arbitrary exposures rounded, at most once for each base; and random sets."""
@@ -108,7 +111,9 @@ def solve_settings(
     exposures = grid.exposures
     bases = base_indices(grid, n)
     batch = BatchScore(problem)
-    all_sets = _enumerate(grid, n, bases, MOST_SECONDS / batch.seconds)
+    is_fine = response.M > MAX_DIRECT_LEVELS
+    longest_s = FINE_ENUMERATED_SECONDS if is_fine else ENUMERATED_SECONDS
+    all_sets = _enumerate(grid, n, bases, longest_s / batch.seconds)
     if all_sets is None:
         if ideal is None:
             there = part_of(progress, 0.0, 0.5)

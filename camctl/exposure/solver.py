@@ -86,7 +86,7 @@ QUICK_MARGIN = 1.25
 SHARE_BETWEEN = 0.05
 """Share of the evaluations for a camera between the coarsest and the finest one."""
 
-MOST_SECONDS, QUICK_SECONDS = 48.0, 3.0
+MOST_SECONDS, QUICK_SECONDS = 50.0, 3.0
 """Processor time of a search, and of a quick one for each number of exposures, about, at most: by
 `BatchScore.seconds` and `ExposureProblem.seconds`, so that results are the same on each machine."""
 

@@ -185,6 +185,10 @@ RATIOS = "expected numbers from 1e-100 to 1e100, such as 1,2,4"
             "invalid value for --levels: nan; expected a number of levels from 1 to 1e7",
         ),
         ("solve --seed -1", "invalid value for --seed: -1; expected a whole number of at least 0"),
+        (
+            "solve -n 16 --bits 16 --settings 1,2,3",  # before a search of half a minute
+            "16 different exposures cannot be chosen from 3 settings; request at most 3",
+        ),
         ("evaluate --ratios 1,-2", f"invalid value for --ratios: -2; {RATIOS}"),
         ("evaluate --ratios 1,0", f"invalid value for --ratios: 0; {RATIOS}"),
         ("evaluate --ratios 1,1e-320", f"invalid value for --ratios: 1e-320; {RATIOS}"),

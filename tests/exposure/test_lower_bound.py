@@ -7,7 +7,7 @@ from sampling import some
 from camctl.errors import UsageError
 from camctl.exposure import lower_bound
 from camctl.exposure.lower_bound import certify
-from camctl.exposure.objective import Objective, xi
+from camctl.exposure.objective import ExposureProblem, Objective, xi
 from camctl.exposure.solver import solve
 from camctl.model.effective import EffectiveCamera
 from camctl.model.response.camera import linear_response, standard_response
@@ -111,3 +111,18 @@ def test_a_set_without_missing_levels_needs_no_search_for_a_bound(
     assert (proof.xi, proof.lower_bound, proof.gap) == (0.0, 0.0, 0.0)
     found = solve(response, desired, n, objective=Objective(wanted))
     assert proof.evaluations == found.evaluations
+
+
+def test_the_table_of_a_camera_of_many_levels_is_made_in_parts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem = ExposureProblem(linear_response(6), desired_response("log", 100.0), 2)
+    whole = lower_bound._Lipschitz(problem, 7.0)
+    assert whole.t.size == lower_bound.LIPSCHITZ_POINTS
+    monkeypatch.setattr(lower_bound, "LEVELS_AT_ONCE", 1000)
+    assert np.array_equal(lower_bound._Lipschitz(problem, 7.0).value, whole.value)
+    monkeypatch.setattr(lower_bound, "LIPSCHITZ_LEVELS", 63 * 100)
+    few = lower_bound._Lipschitz(problem, 7.0)
+    assert few.t.size == 100
+    at = np.linspace(0.0, 7.0, 999)
+    assert np.all(few(at) >= whole(at) * (1 - 1e-12))  # still an upper bound
