@@ -108,23 +108,31 @@ class PatchErrors:
         before, after, usable = before[kept], after[kept], usable[kept]
         count = np.maximum(number[kept], 2).astype(np.float64)
 
-        def mean(values: _Floats) -> _Floats:
-            return np.asarray(np.where(usable, values, 0.0).sum(axis=1) / count)
+        weights = usable / count[:, np.newaxis]
 
-        errors = sensor.light[before] - prediction.mean[after]
+        def mean(values: _Floats) -> _Floats:
+            return np.asarray(np.einsum("ps,ps->p", values, weights))
+
+        predicted = prediction.mean.take(after)
+        errors = sensor.light.take(before) - predicted
         error = mean(errors)
         variance = mean(np.square(errors - error[:, None])) * count / (count - 1)
-        tables = (prediction.mean, prediction.own, prediction.shared)
-        light, own, shared = (mean(table[after]) for table in tables)
+        own, shared = (mean(table.take(after)) for table in (prediction.own, prediction.shared))
+        light = mean(predicted)
         return cls(kept, mean(after.astype(np.float64)), light, error, variance, own, shared, count)
 
 
 def median(values: _Floats) -> float:
     """Return the median of at least one number, as `np.median` does in eight times the time."""
-    ascending, middle = np.sort(values), values.size // 2
+    return _median_of_ascending(np.sort(values))
+
+
+def _median_of_ascending(values: _Floats) -> float:
+    """Return the median of at least one number; they ascend."""
+    middle = values.size // 2
     if values.size % 2:
-        return float(ascending[middle])
-    return float((ascending[middle - 1] + ascending[middle]) / 2)
+        return float(values[middle])
+    return float((values[middle - 1] + values[middle]) / 2)
 
 
 def _trimmed_median(values: _Floats, spread: float) -> float:
@@ -140,7 +148,9 @@ def _trimmed_mean(values: _Floats) -> float:
 
     Blocks of JPEG files have such variances: many are smooth and some are not.
     """
-    return float(np.mean(values[values <= TRIM**2 * max(median(values), 1e-12)]))
+    ascending = np.sort(values)
+    most = TRIM**2 * max(_median_of_ascending(ascending), 1e-12)
+    return float(np.mean(ascending[: np.searchsorted(ascending, most, side="right")]))
 
 
 def fitted_model(part: PatchErrors, prediction: Prediction) -> Prediction:
@@ -180,18 +190,22 @@ def fitted_tables(part: PatchErrors, prediction: Prediction) -> Prediction:
     if part.size < LEAST_PATCHES:
         return prediction
     order = np.argsort(part.brightness, kind="stable")
-    bins = np.array_split(order, min(_MOST_BINS, part.size // LEAST_PATCHES))
+    count = min(_MOST_BINS, part.size // LEAST_PATCHES)
+    bins = np.array_split(part.brightness[order], count)
+    ends = np.cumsum([0, *map(len, bins)]).tolist()
+    least = (part.own + part.shared)[order]
+    unit = np.maximum(part.light[order], np.sqrt(least))
+    variances, biases = part.variance[order] / least, part.error[order] / unit
+    units, samples = np.square(unit) / least, part.count[order]
     places, rows = [], []
     for number, middle in enumerate(bins):
         # Those beside it, too: a band of a smooth sky has one error of its own in JPEG files.
-        each = np.concatenate(bins[max(0, number - 1) : number + 2])
-        least = part.own[each] + part.shared[each]
-        own = _trimmed_mean(part.variance[each] / least)
-        unit = np.maximum(part.light[each], np.sqrt(least))
-        bias = _within(median(part.error[each] / unit), _MOST_BIAS)
-        errors = np.square(part.error[each] - bias * unit) / least
-        shared = max(_trimmed_mean(errors) - own / part.count[each].mean(), 0.0)
-        places.append(median(part.brightness[middle]))
+        each = slice(ends[max(0, number - 1)], ends[min(number + 2, count)])
+        own = _trimmed_mean(variances[each])
+        bias = _within(median(biases[each]), _MOST_BIAS)
+        errors = np.square(biases[each] - bias) * units[each]
+        shared = max(_trimmed_mean(errors) - own / float(samples[each].mean()), 0.0)
+        places.append(_median_of_ascending(middle))
         rows.append((bias, own, shared))
     at = np.arange(prediction.mean.size)
     bias, own, shared = (np.interp(at, places, column) for column in zip(*rows, strict=True))
