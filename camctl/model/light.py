@@ -161,6 +161,7 @@ class LightTables:
         deviation: (B,) float32, standard deviation of an estimate in each bin
         of_sum: (B,) that of the light that the sum of the frames shows
         exposures: (n,) of the frames, relative to the shortest
+        weights: (n, B) float32, of a sample of each frame in the mean
         spreads: (n, B) float32, standard deviation of a sample of each frame, as irradiance
         clipped: (n, B) whether noise clips a sample at the lowest value
     """
@@ -180,7 +181,7 @@ class LightTables:
         edges = (bins << np.uint32(_DROPPED)).view(np.float32).astype(np.float64)
         self.lights: FloatArray = edges * (1 + 0.5 / (1 << _BIN_BITS))
         found = _Weights.at(frames, sensor, self.lights)
-        self._weights = found.weight.astype(np.float32)
+        self.weights: Floats32 = found.weight.astype(np.float32)
         self.deviation: Floats32 = found.deviation.astype(np.float32)
         self.of_sum = found.of_sum
         near = found.saturated & (found.share > 0)
@@ -242,10 +243,10 @@ class LightTables:
         for each, lowest in zip(values, self._saturating, strict=True):
             # The sum does not always show that noise saturated a sample.
             bins[np.flatnonzero((each >= self._white) & (bins < lowest))] = lowest
-        E = self._weights[0].take(bins)
+        E = self.weights[0].take(bins)
         E *= samples[0]
         for place in range(1, len(values)):
-            weighted = self._weights[place].take(bins)
+            weighted = self.weights[place].take(bins)
             weighted *= samples[place]
             E += weighted
         deviation = self.deviation.take(bins)

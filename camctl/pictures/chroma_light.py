@@ -10,7 +10,7 @@ saturation does to a sample makes it darker.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +18,18 @@ from numpy.typing import NDArray
 from camctl.evidence.chroma import chroma_variance
 from camctl.model.light import Floats32, LightTables
 from camctl.model.sensor import CLIPPING_SIGMAS
+from camctl.system.picture_operations import box_means
 
 #: Variance of colours, levels squared, above which it counts: that of rounding is 0.1 to 0.3.
 NOTABLE = 0.25
 #: Error of colours, levels, from which on a saturated one changes the others: twice a rounding.
 _VISIBLE = 1.0
+#: Square of the errors of colours over that of the noise up to which they do not change weights:
+#: these would lessen the variance by less than a tenth.
+_SMALL = 0.1
+#: Cells on each side in which frames differ from their mean alike: those of a block of JPEG; sum of
+#: squares, over their variance, that the noise is known from besides.
+_AROUND, _KNOWN = 2, 1.0
 #: Samples of a block, whose arrays stay in a cache.
 _BLOCK = 1 << 14
 #: Rounds: in the second one, the noise is that of the light which the first one found.
@@ -47,7 +54,6 @@ def share_chroma_errors(
     if not rows or not columns:
         return
     errors = np.stack([chroma_variance(each[:rows, :columns]) for each in frames])
-    notable = np.flatnonzero((errors > NOTABLE).any(axis=(0, 1)))
     np.sqrt(errors, out=errors)
     spreads = errors.reshape(len(frames), len(tables), -1)
     seen = [[_by_cells(each[:rows, :columns, k]) for k in range(len(tables))] for each in frames]
@@ -55,31 +61,110 @@ def share_chroma_errors(
         [_by_cells(each[:rows, :columns, k]) for k in range(len(tables))]
         for each in (irradiance, deviation)
     )
-    top = tables[0].sensor.highest(None)
-    for start in range(0, notable.size, _BLOCK // 4):
-        cells = notable[start : start + _BLOCK // 4]
-        samples = [[plane.take(cells, axis=1) for plane in each] for each in seen]
-        errors_here = spreads[:, :, cells]
-        visible = np.asarray((errors_here > _VISIBLE).any(axis=1))
-        # Where a colour is saturated, the file may have made another one darker.
-        hidden = [
-            (np.maximum(np.maximum(*each[:2]), each[2]) > top) & shown
-            for each, shown in zip(samples, visible, strict=True)
-        ]
-        for channel, table in enumerate(tables):
-            first = [each[channel].take(cells, axis=1) for each in (lights, deviations)]
-            light, error = _joined(
-                table,
-                [each[channel] for each in samples],
-                errors_here[:, channel],
-                hidden,
-                (first[0], first[1]),
-            )
-            lights[channel][:, cells] = light
-            deviations[channel][:, cells] = np.where(np.isnan(first[1]), np.nan, error)
+    beside, hidden = _beside_saturated(seen, spreads, tables[0].sensor.highest(None))
+    for channel, table in enumerate(tables):
+        _replace(
+            table,
+            [each[channel] for each in seen],
+            spreads[:, channel],
+            hidden,
+            beside,
+            (lights[channel], deviations[channel]),
+            columns // 2,
+        )
     for whole, planes in ((irradiance, lights), (deviation, deviations)):
         for channel, each in enumerate(planes):
             _cells_of(whole[:rows, :columns, channel])[...] = each.reshape(2, 2, rows // 2, -1)
+
+
+def _replace(
+    tables: LightTables,
+    values: Sequence[NDArray[Any]],
+    errors: NDArray[np.float32],
+    hidden: Sequence[NDArray[np.bool_]],
+    beside: NDArray[np.bool_],
+    found: tuple[Floats32, Floats32],
+    columns: int,
+) -> None:
+    """Replace the light of one colour and its deviation, (4, cells) each.
+
+    Args:
+        tables: of the colour
+        values: of each frame, (4, cells)
+        errors: standard deviations of the errors that frames have in common, levels, (n, cells)
+        hidden: whether another colour of the pixel is saturated, of each frame
+        beside: cells beside what is saturated, (cells,)
+        found: light and deviation without these errors
+        columns: of cells
+    """
+    light, deviation = found
+    chosen = beside | _add_small(tables, errors, light, deviation)
+    cells_of_all = np.flatnonzero(chosen)
+    scatter, common = np.zeros((2, chosen.size), np.float32), np.zeros_like(light)
+    for start in range(0, cells_of_all.size, _BLOCK // 4):
+        cells = cells_of_all[start : start + _BLOCK // 4]
+        first = light.take(cells, axis=1), deviation.take(cells, axis=1)
+        joined = _joined(
+            tables,
+            [each.take(cells, axis=1) for each in values],
+            errors.take(cells, axis=1),
+            [each.take(cells, axis=1) for each in hidden],
+            first,
+        )
+        light[:, cells] = joined.light
+        deviation[:, cells] = np.where(np.isnan(first[1]), np.nan, joined.own)
+        common[:, cells] = joined.common
+        scatter[:, cells] = joined.scatter
+    shape = chosen.size // columns, columns
+    measured, expected = (box_means(each.reshape(shape), _AROUND).ravel() for each in scatter)
+    ratio = np.sqrt((measured + _KNOWN) / (expected + _KNOWN))
+    deviation *= np.where(chosen, ratio, np.float32(1))
+    np.hypot(deviation, common, out=deviation)
+
+
+def _beside_saturated(
+    seen: Sequence[Sequence[NDArray[Any]]], spreads: NDArray[np.float32], top: int
+) -> tuple[NDArray[np.bool_], list[NDArray[np.bool_]]]:
+    """Return where frames are saturated and have errors of colours.
+
+    Returns:
+        the cells in which one is or may be, (cells,); for each frame the samples, (4, cells), of
+        which it has another colour saturated, so that the file may have made them darker
+    """
+    found, hidden = np.zeros(spreads.shape[2], np.bool_), []
+    for planes, spread in zip(seen, spreads, strict=True):
+        largest = spread.max(axis=0)
+        brightest = np.maximum(np.maximum(*planes[:2]), planes[2])
+        visible = largest > _VISIBLE
+        hidden.append((brightest > top) & visible)
+        found |= visible & (brightest.max(axis=0) + np.float32(CLIPPING_SIGMAS) * largest > top)
+    return found, hidden
+
+
+def _add_small(
+    tables: LightTables, errors: NDArray[np.float32], light: Floats32, deviation: Floats32
+) -> NDArray[np.bool_]:
+    """Add errors of colours to the deviation of cells in which they are small beside it.
+
+    The light of these stays: weights with such an error in them would hardly differ.
+
+    Args:
+        tables: of the colour
+        errors: standard deviations of the errors that frames have in common, levels, (n, cells)
+        light: of the samples, (4, cells)
+        deviation: of it
+
+    Returns:
+        the other cells, (cells,)
+    """
+    bins = tables.bins(light.mean(axis=0))
+    common = np.zeros(bins.shape, np.float32)
+    for weight, steps, error in zip(tables.weights, tables.steps, errors, strict=True):
+        notable = np.where(np.square(error) > NOTABLE, error, np.float32(0))
+        common += weight.take(bins) * steps.take(bins) * notable
+    is_large = np.asarray(np.square(common) > _SMALL * np.square(tables.deviation.take(bins)))
+    np.hypot(deviation, np.where(is_large, np.float32(0), common), out=deviation)
+    return is_large
 
 
 def _cells_of(plane: NDArray[Any]) -> NDArray[Any]:
@@ -93,14 +178,32 @@ def _by_cells(plane: NDArray[Any]) -> NDArray[Any]:
     return np.ascontiguousarray(_cells_of(plane)).reshape(4, -1)
 
 
+class _Joined(NamedTuple):
+    """The light of samples, (4, C).
+
+    Attributes:
+        light: of them
+        own: its standard deviation by what each frame has of its own; infinite where all may be
+            saturated
+        common: that by what frames have in common
+        scatter: sums over the samples of a cell, (2, C), of the squared differences of the frames
+            from the light, over their variance, and of what the noise makes of these
+    """
+
+    light: Floats32
+    own: Floats32
+    common: Floats32
+    scatter: Floats32
+
+
 def _joined(
     tables: LightTables,
     values: Sequence[NDArray[Any]],
     errors: NDArray[np.float32],
     hidden: Sequence[NDArray[np.bool_]],
     first: tuple[Floats32, Floats32],
-) -> tuple[Floats32, Floats32]:
-    """Return the light of samples, (4, C), and its deviation, infinite where all may be saturated.
+) -> _Joined:
+    """Return the light of samples, (4, C).
 
     Args:
         tables: of their colour
@@ -121,13 +224,18 @@ def _joined(
     for _ in range(_ROUNDS):
         bins = tables.bins(light)
         above, weights, own, shared, least = (np.zeros(light.shape, np.float32) for _ in range(5))
+        squares, count, high = (np.zeros(light.shape, np.float32) for _ in range(3))
+        low, odd = np.full(light.shape, np.inf, np.float32), np.zeros(light.shape, np.bool_)
         for at in order:
             sample, saturates = samples[at], np.float32(full / exposures[at])
             noise = tables.variances[at].take(bins)
             error = errors[at] * tables.steps[at].take(bins)
             both = noise + np.square(error)
+            reached = reach * np.sqrt(both)
             dim = saturated[at] | hidden[at]
             counts = ~(saturated[at] | tables.clipped[at].take(bins))
+            # Noise does not lift a sample so far above the light that would clip it at black.
+            odd |= ~(counts | dim) & (sample - reached > light)
             is_known = weights > 0
             counts &= is_known | ~hidden[at]
             # Nothing is known before the first frame that counts.
@@ -140,19 +248,29 @@ def _joined(
             darker = (sample < mean - reach * spread) & (mean > saturates / 4)
             darker |= hidden[at] & (sample < mean - spread)
             # What may be saturated says how much light there is at least, and so do longer ones.
-            reached = reach * np.sqrt(both)
             counts &= ~(darker | (sample + reached < least))
             least = np.where(dim, np.maximum(least, sample - reached), least)
             weight = counts / both
-            above += weight * sample
+            part = weight * sample
+            above += part
+            squares += part * sample
             own += np.square(weight) * noise
             shared += weight * error
             weights += weight
+            count += counts
+            high = np.where(counts | odd, np.maximum(high, sample), high)
+            low = np.where(counts, np.minimum(low, sample), low)
         found = weights > 0
         total = np.where(found, weights, np.float32(1))
         light = np.where(found, np.maximum(above / total, 0), first[0])
-    joined = np.sqrt(own + np.square(shared)) / total
+    scatter = np.where(found, np.maximum(squares - np.square(above) / total, 0), np.float32(0))
+    expected = np.where(found, count - (own + np.square(shared)) / total, np.float32(0))
+    common = np.where(found, shared / total, np.float32(0))
+    # Where frames contradict each other, their mean is no better than any of them.
+    odd = found & (odd | (scatter > reach**2 * np.maximum(expected, 1)))
+    common = np.where(odd, np.maximum(common, (high - low) / 2), common)
     # What is saturated, the shortest frame says best.
     lost = saturated[order[0]] | hidden[order[0]]
     rest = np.where(lost, np.float32(np.inf), deviation)
-    return light, np.where(found, joined, rest)
+    sums = np.stack([each.sum(axis=0) for each in (scatter, expected)])
+    return _Joined(light, np.where(found, np.sqrt(own) / total, rest), common, sums)
