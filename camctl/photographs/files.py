@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -21,9 +20,7 @@ from camctl.photographs.camera import Photograph
 from camctl.photographs.moves import Move, overlap
 from camctl.stills.exif import StatedExposure
 from camctl.stills.files import check_times, read_photograph, unknown_time
-from camctl.stills.radiance_map import read_map
-from camctl.system.input_files import check_regular
-from camctl.system.library_output import exr_source, quiet_libraries
+from camctl.stills.radiance_map import read_exr_exposure, read_map
 
 #: Decoded pixels that are kept, so that files are not decoded again.
 _KEPT_BYTES = 512 << 20
@@ -240,7 +237,6 @@ def _largest_of_exr(paths: Sequence[Path]) -> float:
 
 
 def _exr_values(path: Path) -> Any:
-    check_regular(path, "")
     values = np.asarray(read_map(path)[0], np.float32)
     return values[..., :3] if values.ndim == 3 and values.shape[2] >= 3 else values.squeeze()
 
@@ -255,14 +251,8 @@ def _read_exr(path: Path, time_s: float | None, full: float) -> tuple[Pixels, Ph
 
 def _exr_exposure(path: Path, time_s: float | None) -> Photograph:
     """Return the exposure in the standard attributes of a file; a given time replaces its own."""
-    import OpenEXR
-
-    with quiet_libraries(), exr_source(path) as source:
-        header = OpenEXR.File(source, header_only=True).header()
-    stated_s, iso, f_number = (
-        float(value) if isinstance(value, int | float) and 0 < value < math.inf else None
-        for value in map(header.get, ("expTime", "isoSpeed", "aperture"))
-    )
+    stated = read_exr_exposure(path)
+    stated_s, iso, f_number = map(stated.get, ("expTime", "isoSpeed", "aperture"))
     time_s = stated_s if time_s is None else time_s
     if time_s is None:
         raise unknown_time(path)

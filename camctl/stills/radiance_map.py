@@ -1,4 +1,4 @@
-"""Reads radiance maps: .hdr and .pic (RGBE, here in numpy), .exr, .tiff and .npy."""
+"""Reads radiance maps: .hdr and .pic (RGBE, here in numpy), .exr (apart), .tiff and .npy."""
 
 from __future__ import annotations
 
@@ -7,19 +7,18 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import DataError, OutOfMemoryError
+from camctl.stills.exr import Map, Shape
+from camctl.stills.separate import exr_apart, exr_exposure_apart, exr_shape_apart
 from camctl.system.input_files import check_regular
-from camctl.system.library_output import exr_source, quiet_libraries
+from camctl.system.library_output import quiet_libraries
 
 Result = TypeVar("Result")
-Shape: TypeAlias = tuple[int, ...]
-Map: TypeAlias = tuple[NDArray[Any], tuple[str, ...]]
-"""A map (RGB order), and notes about what of its file was left out."""
 
 _SIZE = re.compile(rb"([-+])([XY]) +(\d{1,9}) +([-+])([XY]) +(\d{1,9})\s*$")
 _MOST_HEADER_LINES = 200
@@ -52,6 +51,15 @@ def read_map(path: Path) -> Map:
         OutOfMemoryError: too large
     """
     return _read(path, _FILE_TYPES[path.suffix.lower()].read_map)
+
+
+def read_exr_exposure(path: Path) -> dict[str, float]:
+    """Return the exposure that an .exr file states, see `camctl.stills.exr.exr_exposure`.
+
+    Raises:
+        DataError: missing, unreadable, or no .exr file
+    """
+    return _read(path, exr_exposure_apart)
 
 
 def _read(path: Path, read: Callable[[Path], Result]) -> Result:
@@ -227,36 +235,10 @@ def _series(path: Path, file: Any) -> Any:
     return series
 
 
-def _exr_shape(path: Path) -> Shape:
-    import OpenEXR
-
-    with exr_source(path) as source, OpenEXR.File(source, header_only=True) as file:
-        low, high = file.header()["dataWindow"]
-        return int(high[1] - low[1] + 1), int(high[0] - low[0] + 1), 3
-
-
-def _exr(path: Path) -> Map:
-    import OpenEXR
-
-    with exr_source(path) as source, OpenEXR.File(source, separate_channels=True) as file:
-        channels = {name: channel.pixels for name, channel in file.channels().items()}
-    if all(name in channels for name in "RGB"):
-        return np.stack([channels[name] for name in "RGB"], axis=-1), ()
-    if "Y" in channels:
-        notes = ("only luminance was read, colour was ignored",) if "RY" in channels else ()
-        return np.asarray(channels["Y"]), notes
-    if len(channels) == 1:
-        return np.asarray(next(iter(channels.values()))), ()
-    raise DataError(
-        f"{path}: no colour or luminance among channels {', '.join(sorted(channels))}",
-        hint="R, G and B, or Y, or a single channel are needed",
-    )
-
-
 _FILE_TYPES = {
     ".hdr": _FileType(_rgbe_shape, _rgbe),
     ".pic": _FileType(_rgbe_shape, _rgbe),
-    ".exr": _FileType(_exr_shape, _exr),
+    ".exr": _FileType(exr_shape_apart, exr_apart),
     ".tif": _FileType(_tiff_shape, _tiff),
     ".tiff": _FileType(_tiff_shape, _tiff),
     ".npy": _FileType(_npy_shape, _npy),

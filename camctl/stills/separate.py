@@ -13,21 +13,31 @@ import subprocess
 import sys
 import tempfile
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import IO, Any
+from pathlib import Path
+from typing import IO, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.errors import CameraProtocolError, UsageError
+from camctl.errors import CamctlError, CameraProtocolError, DataError, UsageError
 from camctl.interface.colour import CameraColour
 from camctl.interface.controls import Layout
 from camctl.stills.decoding import MAX_PIXELS, Still, read_still
+from camctl.stills.exr import Map, Shape, exr_exposure, exr_shape, read_exr
 from camctl.stills.worker import put
 
 _COMMAND = (sys.executable, "-P", "-m", "camctl.stills.worker")
+_ERRORS = {each.__name__: each for each in (CameraProtocolError, DataError, UsageError)}
+_EXR_TYPES = (np.float16, np.float32, np.uint32)
+_Answer = TypeVar("_Answer")
 _lock = threading.Lock()
+
+
+class UnreadableError(Exception):
+    """What the library of a format says of a file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,15 +64,30 @@ class _Worker:
             raise
         return cls(process, shared)
 
-    def read(self, data: bytes, name: str) -> Still:
-        """Return the contents of a file; the errors of `_still` and `OSError`."""
+    def ask(self, **request: Any) -> dict[str, Any]:
+        """Return the answer to a request.
+
+        Raises:
+            OSError, ValueError, EOFError: there is no answer
+            CameraProtocolError, DataError, UnreadableError, UsageError: the process reports them
+        """
         assert self.process.stdin is not None
         assert self.process.stdout is not None
-        put(self.shared.fileno(), data)
-        request = {"name": name, "bytes": len(data)}
         self.process.stdin.write(json.dumps(request).encode() + b"\n")
         self.process.stdin.flush()
-        return _still(self.process.stdout.readline(), self.shared.fileno())
+        return _checked(self.process.stdout.readline())
+
+    def read(self, data: bytes, name: str) -> Still:
+        """Return the contents of a file; the errors of `ask`."""
+        put(self.shared.fileno(), data)
+        return _still(self.ask(name=name, bytes=len(data)), self.shared.fileno())
+
+    def read_exr(self, path: Path) -> Map:
+        """Return the samples of an OpenEXR file; the errors of `ask`."""
+        head = self.ask(name=str(path), exr="map")
+        samples = _samples(head, self.shared.fileno(), _EXR_TYPES)
+        os.ftruncate(self.shared.fileno(), 0)  # maps are large, and few follow
+        return samples, tuple(map(str, head["notes"]))
 
     def end(self) -> None:
         self.process.kill()
@@ -86,21 +111,63 @@ def read_apart(data: bytes, name: str) -> Still:
     """
     if os.name != "posix":  # files are not passed to other processes there
         return read_still(data, name)
+    return _apart(name, lambda worker: worker.read(data, name))
+
+
+def exr_apart(path: Path) -> Map:
+    """Return the samples of an OpenEXR file, as `read_exr` does.
+
+    Raises:
+        DataError: it cannot be used, or decoding it takes too much time, or crashes
+        UnreadableError: what the library says
+    """
+    if os.name != "posix":
+        return read_exr(path)
+    return _exr_apart(path, _Worker.read_exr)
+
+
+def exr_shape_apart(path: Path) -> Shape:
+    """Return the shape of an OpenEXR file, as `exr_shape` does; raises as `exr_apart`."""
+    if os.name != "posix":
+        return exr_shape(path)
+    answer = _exr_apart(path, lambda worker, file: worker.ask(name=str(file), exr="shape"))
+    return tuple(int(side) for side in answer["shape"])
+
+
+def exr_exposure_apart(path: Path) -> dict[str, float]:
+    """Return the exposure of an OpenEXR file, as `exr_exposure` does; raises as `exr_apart`."""
+    if os.name != "posix":
+        return exr_exposure(path)
+    answer = _exr_apart(path, lambda worker, file: worker.ask(name=str(file), exr="exposure"))
+    return {name: float(value) for name, value in answer.items()}
+
+
+def _exr_apart(path: Path, ask: Callable[[_Worker, Path], _Answer]) -> _Answer:
+    with path.open("rb"):  # the library would not give the reason
+        pass
+    try:
+        return _apart(str(path), lambda worker: ask(worker, path.absolute()))
+    except CameraProtocolError as error:
+        raise DataError(error.what, hint=error.hint) from error
+
+
+def _apart(name: str, ask: Callable[[_Worker], _Answer]) -> _Answer:
+    """Return what a free process answers about a file."""
     with _lock:
         worker = _free.pop() if _free else None
     worker = worker or _Worker.started()
     try:
-        still = worker.read(data, name)
+        answer = ask(worker)
     except (OSError, ValueError, EOFError):
         raise _ended(worker, name) from None
-    except (CameraProtocolError, UsageError):
+    except (CamctlError, UnreadableError):
         _set_free(worker)
         raise
     except BaseException:  # an interrupt leaves an answer behind
         worker.end()
         raise
     _set_free(worker)
-    return still
+    return answer
 
 
 def _set_free(worker: _Worker) -> None:
@@ -115,30 +182,42 @@ def _shared_file() -> IO[bytes]:
     return tempfile.TemporaryFile()
 
 
-def _still(answer: bytes, shared: int) -> Still:
-    """Return what the process answers; its numbers are checked, since a file may have taken over.
-
-    Raises:
-        ValueError, EOFError: it is no answer
-        CameraProtocolError, UsageError: the process reports them
-    """
+def _checked(answer: bytes) -> dict[str, Any]:
+    """Return what the process answers; raises as `_Worker.ask` does."""
     if not answer.endswith(b"\n"):
         raise EOFError
     head: dict[str, Any] = json.loads(answer)
-    if "error" in head:
-        kind = UsageError if head["error"] == "UsageError" else CameraProtocolError
-        raise kind(str(head["what"]), hint=str(head["hint"]))
+    if "error" not in head:
+        return head
+    what, hint = str(head["what"]), str(head["hint"])
+    if head["error"] == "UnreadableError":
+        raise UnreadableError(what)
+    raise _ERRORS.get(str(head["error"]), CameraProtocolError)(what, hint=hint)
+
+
+def _samples(head: dict[str, Any], shared: int, kinds: tuple[type, ...]) -> NDArray[Any]:
+    """Return samples; their numbers are checked, since a file may have taken the process over.
+
+    Raises:
+        ValueError, EOFError: they cannot be
+    """
     shape, dtype = tuple(int(side) for side in head["shape"]), np.dtype(str(head["dtype"]))
     size = int(np.prod(shape, dtype=object))
-    if dtype not in (np.uint8, np.uint16) or not 0 < size <= 3 * MAX_PIXELS:
+    if dtype not in kinds or min(shape) < 1 or not 0 < size <= 3 * MAX_PIXELS:
         raise ValueError
-    samples = _taken(shared, size, dtype, 0)
+    return _taken(shared, size, dtype, 0).reshape(shape)
+
+
+def _still(head: dict[str, Any], shared: int) -> Still:
+    """Return the still of an answer; raises as `_samples` does."""
+    samples = _samples(head, shared, (np.uint8, np.uint16))
     invalid = None
     if head.get("has_invalid"):
+        shape = samples.shape[:2]
         flags = _taken(shared, shape[0] * shape[1], np.dtype(np.uint8), samples.nbytes)
-        invalid = flags.reshape(shape[:2]) > 0
+        invalid = flags.reshape(shape) > 0
     return Still(
-        samples.reshape(shape),
+        samples,
         Layout(head["layout"]),
         int(head["bits"]),
         int(head["black"]),

@@ -1,7 +1,7 @@
 """Decodes pictures in a process of its own, for `camctl.stills.separate`.
 
-The libraries of JPEG, PNG, TIFF and raw formats are written in C and C++ and have no limits of
-their own.  What a file makes of them stays here: memory and processor time are limited, and a
+The libraries of JPEG, PNG, TIFF, raw formats and OpenEXR are written in C and C++, without limits
+of their own.  What a file makes of them stays here: memory and processor time are limited, and a
 crash ends this process alone.
 
 Requests and answers are lines of JSON.  The bytes that they speak of, the picture file and its
@@ -15,12 +15,14 @@ import os
 import sys
 import time
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from camctl.errors import CamctlError
+from camctl.errors import CamctlError, DataError
 from camctl.stills.decoding import read_still
+from camctl.stills.exr import exr_exposure, exr_shape, read_exr
 
 MOST_SECONDS = 60
 """Processor time for one file: the slowest of 100 megapixels takes 4 s on one core (2026-11)."""
@@ -41,6 +43,8 @@ def serve(requests: BinaryIO, answers: BinaryIO, shared: int) -> None:
 
 def _answer(shared: int, request: dict[str, Any]) -> dict[str, Any]:
     """Replace the picture file in `shared` by its samples; return what they are."""
+    if "exr" in request:
+        return _exr_answer(shared, request)
     name = request["name"]
     try:
         still = read_still(os.pread(shared, request["bytes"], 0), name)
@@ -66,6 +70,29 @@ def _answer(shared: int, request: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def _exr_answer(shared: int, request: dict[str, Any]) -> dict[str, Any]:
+    """Answer what is asked of an OpenEXR file: "shape", "exposure" or "map" (into `shared`)."""
+    path, error = Path(request["name"]), "UnreadableError"
+    try:
+        match request["exr"]:
+            case "shape":
+                return {"shape": exr_shape(path)}
+            case "exposure":
+                return exr_exposure(path)
+        samples, notes = read_exr(path)
+        samples = np.ascontiguousarray(samples)
+        put(shared, samples.reshape(-1).view(np.uint8).data)
+        return {"shape": samples.shape, "dtype": samples.dtype.name, "notes": notes}
+    except DataError as found:
+        return {"error": "DataError", "what": found.what, "hint": found.hint}
+    except MemoryError:
+        what = f"it needs more than {_MOST_BYTES >> 30} GiB to be decoded"
+        return {"error": error, "what": what, "hint": ""}
+    except Exception as found:  # the library raises errors of any type for a damaged file
+        lines = str(found).strip().splitlines() or [type(found).__name__]
+        return {"error": error, "what": lines[0], "hint": ""}
+
+
 def put(file: int, content: bytes | memoryview, at: int = 0) -> None:
     """Write to a place of a file that another process has open with the same position."""
     view, done = memoryview(content).cast("B"), 0
@@ -77,7 +104,6 @@ def _limit_memory() -> None:
     if os.name != "posix":
         return
     import resource
-    from pathlib import Path
 
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     sizes = Path("/proc/self/statm")  # Linux

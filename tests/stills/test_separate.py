@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import resource
+import struct
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +17,9 @@ from device_readers import still_files
 from camctl.errors import CameraProtocolError, DataError
 from camctl.stills import separate
 from camctl.stills.decoding import read_still
+from camctl.stills.exr import exr_exposure, exr_shape, read_exr
 from camctl.stills.files import read_photograph
+from camctl.stills.radiance_map import read_exr_exposure, read_map, read_shape
 from camctl.stills.separate import read_apart
 
 pytest.importorskip("rawpy", reason="rawpy is not installed")
@@ -51,4 +58,89 @@ def test_a_decoder_that_fails_is_the_error_of_its_file(
     monkeypatch.setattr(separate, "_free", [])
     with pytest.raises(CameraProtocolError, match=why):
         read_apart(bytes(100), "a.cr2")
+    assert separate._free == []
+
+
+def write_exr(path: Path, side: int = 64, *, tiled: bool = False, **header: Any) -> bytes:
+    """Write a small file of equal colours; return its bytes."""
+    import OpenEXR
+
+    kind = OpenEXR.tiledimage if tiled else OpenEXR.scanlineimage
+    header |= {"tiles": OpenEXR.TileDescription()} if tiled else {}
+    header |= {"compression": OpenEXR.ZIP_COMPRESSION, "type": kind}
+    channels = {name: np.full((side, side), value, np.float32) for value, name in enumerate("RGB")}
+    OpenEXR.File(header, channels).write(str(path))
+    return path.read_bytes()
+
+
+def with_window(data: bytes, columns: int, rows: int) -> bytes:
+    """Return an OpenEXR file that states another size than its chunks have."""
+    for name in (b"dataWindow\0box2i\0", b"displayWindow\0box2i\0"):
+        at = data.index(name) + len(name) + 4
+        data = data[:at] + struct.pack("<4i", 0, 0, columns - 1, rows - 1) + data[at + 16 :]
+    return data
+
+
+def test_an_openexr_file_is_the_same_from_another_process(tmp_path: Path) -> None:
+    path = tmp_path / "caf\u00e9 \udcff.exr"  # a name that is no UTF-8
+    write_exr(tmp_path / "a.exr", expTime=0.25, isoSpeed=200.0, aperture=float("inf"))
+    (tmp_path / "a.exr").rename(path)
+    here, apart = read_exr(path), read_map(path)
+    assert np.array_equal(here[0], apart[0])
+    assert (here[0].dtype, here[1]) == (apart[0].dtype, apart[1])
+    assert read_shape(path) == exr_shape(path) == (64, 64, 3)
+    stated = {"expTime": 0.25, "isoSpeed": 200.0}
+    assert read_exr_exposure(path) == exr_exposure(path) == stated
+    assert os.fstat(separate._free[-1].shared.fileno()).st_size == 0  # no map is kept
+
+
+def peak_memory() -> int:
+    """Return the largest memory of this process so far, kB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+@pytest.mark.parametrize("tiled", [False, True])
+def test_hostile_openexr_files_are_refused_at_once(tmp_path: Path, *, tiled: bool) -> None:
+    path = tmp_path / "a.exr"
+    whole = write_exr(path, tiled=tiled)
+    sizes = [(1 << 30, 1 << 30), (1 << 20, 1 << 12), (1, 1 << 30), (100_000, 100_000), (-5, -5)]
+    hostile = [with_window(whole, *size) for size in sizes]
+    hostile += [whole[:length] for length in (0, 8, 100, len(whole) // 2, len(whole) - 1)]
+    hostile += [whole[:8] + bytes(4000), whole[:400] + b"\xff" * 4000]
+    before = peak_memory()
+    for data in hostile:
+        path.write_bytes(data)
+        with pytest.raises(DataError):
+            read_map(path)
+        for read in (read_exr_exposure, read_shape):
+            with contextlib.suppress(DataError):  # the head of some can be read
+                read(path)
+    assert peak_memory() - before < 64 << 10
+
+
+def test_an_openexr_file_that_becomes_large_ends_no_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """150 kB become 48 MB; the process may have 16 MiB here, instead of 4 GiB."""
+    program = (
+        "import sys, os; from camctl.stills import worker; worker._MOST_BYTES = 16 << 20; "
+        "worker.serve(sys.stdin.buffer, sys.stdout.buffer, int(sys.argv[1]))"
+    )
+    monkeypatch.setattr(separate, "_COMMAND", (sys.executable, "-c", program))
+    monkeypatch.setattr(separate, "_free", [])
+    write_exr(tmp_path / "a.exr", 2000)
+    with pytest.raises(DataError, match=r"a\.exr.*cannot be read"):
+        read_map(tmp_path / "a.exr")
+
+
+@pytest.mark.parametrize("signal", [11, 24])
+def test_an_openexr_file_that_ends_its_decoder_is_one_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, signal: int
+) -> None:
+    program = f"import os; input(); os.kill(os.getpid(), {signal})"
+    monkeypatch.setattr(separate, "_COMMAND", (sys.executable, "-c", program))
+    monkeypatch.setattr(separate, "_free", [])
+    write_exr(tmp_path / "a.exr")
+    with pytest.raises(DataError, match="SIGSEGV" if signal == 11 else "more than a minute"):
+        read_map(tmp_path / "a.exr")
     assert separate._free == []
