@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import errno
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +85,11 @@ class LoopbackDevice:
                 f"pictures are {columns}x{rows} YUYV",
                 hint="close the program that reads it, or set the camera to that size",
             )
+
+        # Version 0.12 with exclusive_caps=1 takes a program that only writes for no writer, and is
+        # no output any more until it is loaded again; later versions need this not, and refuse it.
+        with suppress(OSError):
+            self._kernel.ioctl(self._descriptor, abi.Request.STREAMON, abi.BufferType(_OUTPUT))
 
     def write(self, picture: NDArray[np.uint8]) -> None:
         """Show a picture, (rows, columns) or Y, Cb and Cr of full range (rows, columns, 3).

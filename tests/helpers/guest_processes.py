@@ -60,7 +60,8 @@ def import_all(packages: Sequence[str]) -> None:
     for package in packages:
         root = import_module(package)
         for module in pkgutil.walk_packages(root.__path__, f"{package}."):
-            if not module.name.endswith("__main__"):
+            # bluesky is large, and no test here uses it.
+            if not module.name.endswith(("__main__", "adapters.bluesky")):
                 with suppress(ImportError):  # an optional dependency is not installed
                     import_module(module.name)
     mappings = Path("/proc/self/maps").read_text().splitlines()

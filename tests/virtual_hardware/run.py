@@ -29,6 +29,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import display
+from loopback_module import loopback_module
 from machine import CannotRunError, GuestError, Kernel, prepare, run_in_guest
 
 HERE = Path(__file__).resolve().parent
@@ -79,6 +80,10 @@ def main() -> int:
     except CannotRunError as error:
         print(f"virtual hardware skipped: {error}")
         return SKIPPED if arguments.must_run else 0
+    try:
+        ENVIRONMENT["CAMCTL_LOOPBACK_MODULE"] = str(loopback_module(kernel))
+    except CannotRunError as error:
+        print(f"without v4l2loopback: {error}")
     _compile()
     if arguments.command or arguments.bench:
         guest = Guest("guest", kernel, arguments.limit, began)
