@@ -40,7 +40,14 @@ from camctl.photographs.response import (
     known_colour,
     known_controls,
 )
-from camctl.photographs.selection import Selection, Views, distinct, of_one_colour, of_one_view
+from camctl.photographs.selection import (
+    Selection,
+    Views,
+    check_several,
+    distinct,
+    of_one_colour,
+    of_one_view,
+)
 from camctl.photographs.valid_area import ValidArea
 from camctl.system.number_text import time_text
 
@@ -134,6 +141,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         DataError: a file cannot be read or does not fit the others
         UsageError: an exposure is missing, or an option does not fit the files
     """
+    check_several(paths)
     files = PhotographFiles(paths, source.times)
     given = files.photographs
     photographs, unstated = with_all_stated(given)

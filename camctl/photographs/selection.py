@@ -65,9 +65,14 @@ def distinct(sights: Sequence[Sight], notes: list[Finding]) -> list[int]:
             _check_copy(sights[earlier].photograph, sight.photograph)
             notes.append(Finding(code="copy", frames=(k, earlier)))
     notes += empty
-    if len(kept) < 2:
-        raise UsageError("one photograph makes no merge", hint="give two or more exposures")
+    check_several(kept)
     return kept
+
+
+def check_several(photographs: Sequence[object]) -> None:
+    """Raise `UsageError` for a single photograph."""
+    if len(photographs) < 2:
+        raise UsageError("one photograph makes no merge", hint="give two or more exposures")
 
 
 def _check_copy(one: Photograph, other: Photograph) -> None:

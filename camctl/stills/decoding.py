@@ -155,6 +155,11 @@ def _read_jpeg(data: bytes, name: str) -> Still:
     rows = structure.rows
     if rows:
         _check_size(name, rows, structure.columns, len(data))
+    if structure.is_cmyk:
+        raise UsageError(
+            f"{name} is a JPEG of four inks (CMYK), which is not read",
+            hint="convert it to RGB (sRGB), or take the camera's own file",
+        )
     if structure.why:
         is_cut = structure.why == CUT_SHORT and rows
         known = structure.undamaged_rows(data, _printed) if is_cut else None
@@ -248,6 +253,8 @@ def _read_tiff_family(data: bytes, name: str, *, is_plain: bool) -> Still:
 
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as file:
+            if not len(file.pages):
+                raise _damaged(name, "it holds no picture")
             page = file.pages.first
             is_plain = is_plain and _DNG_VERSION not in page.tags
             _check_segments(page, name, len(data))

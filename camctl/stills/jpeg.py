@@ -46,12 +46,14 @@ class JpegStructure:
         rows, columns: size of the picture; 0 before a frame header
         end: offset of the end of the image; None where the file is cut short
         why: what is wrong with the markers; empty: nothing
+        is_cmyk: it has four inks
     """
 
     rows: int = 0
     columns: int = 0
     end: int | None = None
     why: str = ""
+    is_cmyk: bool = False
     _rows_at: int = 0
     _unit: tuple[int, int] = (_BLOCK, _BLOCK)
     _restart_interval: int = 0
@@ -92,6 +94,7 @@ class JpegStructure:
     def _add(self, marker: int, segment: bytes, at: int) -> None:
         if marker in _FRAME_HEADERS:
             precision, self.rows, self.columns, channels = struct.unpack_from(">BHHB", segment)
+            self.is_cmyk = channels == 4
             if precision != 8 or channels not in (1, 3):
                 self.why = f"a JPEG of {channels} x {precision} bits is not supported"
                 return

@@ -12,6 +12,7 @@ import pytest
 import tifffile
 from raw_photographs import NEUTRAL, mosaic, raw_file
 
+import camctl
 from camctl import CaptureReport, CaptureRequest, PhotographOptions, merge
 
 TIMES = (1 / 64, 1 / 8, 1.0)
@@ -77,3 +78,33 @@ def test_without_a_matrix_there_is_no_raw_file(report: CaptureReport, tmp_path: 
     other = merge(files, CaptureRequest("linear"), tmp_path / "other", options=options)
     assert "raw" not in other.files
     assert not (tmp_path / "other" / "picture.dng").exists()
+
+
+@pytest.mark.slow
+def test_capture_of_a_camera_of_measured_colours(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rawpy = pytest.importorskip("rawpy", reason="rawpy is missing: pip install 'camctl[raw]'")
+    monkeypatch.setenv("CAMCTL_PROFILES", str(tmp_path / "profiles"))
+    options = {"scene": "colour-chart", "sensor": "phone", "size": "320x240"}
+    request = CaptureRequest("linear", ratios=(1, 8))
+    with camctl.open_camera("sim", options) as camera:
+        assert "raw" not in camctl.capture(camera, request, tmp_path / "before").files
+        camctl.calibrate.colour(camera).save()
+    with camctl.open_camera("sim", options) as camera:
+        report = camctl.capture(camera, request, tmp_path / "after")
+    path = tmp_path / "after" / report.files["raw"]
+    with rawpy.imread(str(path)) as raw:
+        found = raw.postprocess(
+            gamma=(1, 1),
+            no_auto_bright=True,
+            use_camera_wb=True,
+            output_bps=16,
+            demosaic_algorithm=rawpy.DemosaicAlgorithm.LINEAR,
+        )
+    light, patches = report.radiance(), np.s_[30::60, 26::53]  # inside of each patch
+    both = [cv2.blur(each.astype(np.float32), (9, 9))[patches] for each in (found, light)]
+    inside = (both[0] > 500).all(axis=2) & (both[0] < 60_000).all(axis=2)
+    assert inside.sum() >= 8
+    ratio = both[0][inside] / both[1][inside]
+    assert np.median(np.abs(ratio / np.median(ratio) - 1)) < 0.01

@@ -264,3 +264,11 @@ def test_heif_pictures_are_refused_with_what_to_do() -> None:
         read_still(bytes(3) + b"\x18ftypheic" + bytes(100), "IMG_1.HEIC")
     assert "HEIF" in raised.value.what
     assert "TIFF" in raised.value.hint
+
+
+def test_four_inks_are_named() -> None:
+    frame = b"\xff\xc0" + struct.pack(">HBHHB", 20, 8, 16, 16, 4) + bytes(12)
+    with pytest.raises(UsageError) as raised:
+        read_still(b"\xff\xd8" + frame + b"\xff\xd9", "print.jpg")
+    assert "CMYK" in raised.value.what
+    assert "RGB" in raised.value.hint
