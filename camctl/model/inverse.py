@@ -61,6 +61,9 @@ _KEPT = 4
 """Posteriors that are kept: of the three colours of a plan, and of one that it is compared with.
 Each has as many megabytes as its sum has tens of thousands of values."""
 
+_MOST_KEPT_LEVELS = 500_000
+"""Levels of a camera up to which so many are kept, 50 MB each; of larger ones only the last is."""
+
 _NOTABLE_DSNU = 0.01
 """Share of the variance in the dark from which the offsets of the pixels are integrated over."""
 
@@ -187,12 +190,12 @@ class Posterior:
 
     def _joint(self, v: FloatArray) -> Iterator[tuple[slice, NDArray[np.intp], FloatArray]]:
         """Yield some nodes, sums (W, nodes) that each may have, and their probabilities."""
-        E = self._response.inverse(v)
         chunk = int(np.clip(v.size // CHUNKS, LEAST_CHUNK, MOST_CHUNK))
         for first in range(0, v.size, chunk):
             part = slice(first, first + chunk)
+            E = self._response.inverse(v[part])
             for z, weight in self._offsets:
-                start, probability = self.sum.probabilities(E[part], z)
+                start, probability = self.sum.probabilities(E, z)
                 columns = start + np.arange(len(probability))[:, np.newaxis]
                 yield part, np.minimum(columns, self.sum.top), weight * probability
 
@@ -293,6 +296,11 @@ def _posterior(case: _Case) -> Posterior:
     return Posterior(case.camera, case.desired, case.noise)
 
 
+@lru_cache(maxsize=1)
+def _large_posterior(case: _Case) -> Posterior:
+    return Posterior(case.camera, case.desired, case.noise)
+
+
 def posterior_of(
     camera: EffectiveCamera, desired: DesiredResponse, noise: Sequence[FrameNoise]
 ) -> Posterior:
@@ -300,7 +308,8 @@ def posterior_of(
 
     A capture needs the same one for its plan, its verdict and its pictures.
     """
-    return _posterior(
+    is_large = camera.levels_total > _MOST_KEPT_LEVELS
+    return (_large_posterior if is_large else _posterior)(
         _Case(
             levels=camera.response.levels.tobytes(),
             exposures=camera.exposures,

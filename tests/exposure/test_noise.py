@@ -15,8 +15,9 @@ from camctl.exposure.noise import (
     noisy_effective_levels,
 )
 from camctl.exposure.robustness import sensitivity, shifted
+from camctl.model import inverse
 from camctl.model.effective import EffectiveCamera, effective_levels
-from camctl.model.inverse import Posterior
+from camctl.model.inverse import Posterior, posterior_of
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import linear_response, standard_response
 from camctl.model.response.desired import desired_response
@@ -179,3 +180,18 @@ def test_the_work_does_not_grow_with_the_narrowness_of_the_range(
         total += np.clip(frame, 0, 255).astype(np.int64)
     simulated = (12 * np.mean((posterior.inverse.u[total] - u) ** 2)) ** -0.5
     assert posterior.inverse.effective_levels == pytest.approx(simulated, rel=0.01)
+
+
+def test_of_large_cameras_only_the_last_posterior_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of 16 frames of 16 bits has a hundred megabytes."""
+    desired, noise = desired_response("log", 100.0), [FrameNoise(100.0, 0.5)]
+    cameras = [EffectiveCamera.of(linear_response(bits), (1,)) for bits in (3, 4)]
+
+    def kept() -> bool:
+        first = posterior_of(cameras[0], desired, noise)
+        posterior_of(cameras[1], desired, noise)
+        return posterior_of(cameras[0], desired, noise) is first
+
+    assert kept()
+    monkeypatch.setattr(inverse, "_MOST_KEPT_LEVELS", 5)
+    assert not kept()
