@@ -43,6 +43,8 @@ SECTIONS = (
             State.CAPTURE_FAILED,
             State.RESUMING,
             State.RESUME_FAILED,
+            State.SERIES_SHOOTING,
+            State.SERIES_FAILED,
         ),
     ),
     Section(
@@ -76,6 +78,7 @@ SECTIONS = (
         "Settings",
         (
             State.SETTINGS,
+            State.SERIES,
             State.MENU,
             State.SEARCHING,
             State.CAMERAS,

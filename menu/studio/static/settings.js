@@ -5,7 +5,8 @@ import {words} from "./screen.js";
 let root, isProfiles = false, drawn = "";
 
 function bar(state, show) {
-  const tabs = [["settings", "Settings"], ["searching", "Camera"], ["about", "About"]];
+  const tabs = [["settings", "Settings"], ["series", "Series"], ["searching", "Camera"],
+    ["about", "About"]];
   return h("div", {class: "buttons", role: "group", "aria-label": "settings"},
     tabs.map(([name, title]) => h("button", {
       "aria-pressed": String(!isProfiles && state.state === name),
@@ -39,7 +40,7 @@ async function profiles() {
 async function show(state) {
   if (!isProfiles) {
     drawn = "";
-    const detail = state.state === "settings" ? "Press an entry to change it." : state.detail;
+    const detail = ["settings", "series"].includes(state.state) ? "Press an entry to change it." : state.detail;
     renew(root, bar(state, () => show(state)), h("div", {class: "card"}, words({...state, detail})));
     return;
   }

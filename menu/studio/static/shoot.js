@@ -26,8 +26,9 @@ function planned(plan) {
 
 function progress(state) {
   const at = state.progress, plan = state.plan;
-  const count = at && at.stage === "shooting" ? at.total : plan ? plan.frames.length : 0;
-  const done = !at ? 0 : at.stage === "shooting" ? at.done : at.stage === "metering" ? 0 : count;
+  const isCounted = at && ["shooting", "taken"].includes(at.stage); // frames, or sets of a series
+  const count = isCounted ? at.total : plan ? plan.frames.length : 0;
+  const done = !at ? 0 : isCounted ? at.done : at.stage === "metering" ? 0 : count;
   const frames = Array.from({length: count}, (_, place) => h("li", {
     class: place < done ? "done" : place === done ? "now" : ""}, String(place + 1)));
   return [
@@ -41,7 +42,7 @@ function progress(state) {
 export default {
   start(element) { root = element; },
   show(state) {
-    const running = ["shooting", "resuming", "cancelling", "timer"].includes(state.state);
+    const running = ["shooting", "resuming", "cancelling", "timer", "series_shooting"].includes(state.state);
     const parts = state.state === "review" && state.plan ? planned(state.plan)
       : running ? progress(state)
         : [...state.lines.map(text => h("p", {}, text)),
