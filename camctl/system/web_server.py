@@ -195,8 +195,8 @@ def _check_token(token: str, variable: str) -> None:
     """Raise `UsageError` for a token that can be guessed, or that no browser can send."""
     hint = f"openssl rand -hex {(LEAST_TOKEN + 1) // 2} prints one"
     if token and len(token) < LEAST_TOKEN:
-        what = f"the token in {variable} has {len(token)} characters, and can be guessed"
-        raise UsageError(what, hint=f"take {LEAST_TOKEN} or more: {hint}")
+        what = f"the token in {variable} is so short that it can be guessed"
+        raise UsageError(what, hint=f"take {LEAST_TOKEN} characters or more: {hint}")
     try:
         token.encode()
     except UnicodeEncodeError:

@@ -264,6 +264,7 @@ def test_signal_while_the_thread_for_frames_starts_keeps_the_frame(
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)  # 25 s of processor time, of which a busy machine makes minutes
 # Libraries leave files open where they are interrupted.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_signal_at_any_call_leaves_a_capture_that_can_be_resumed(
