@@ -146,7 +146,9 @@ def test_a_token_that_can_be_guessed_is_refused() -> None:
     for address in ("0.0.0.0:8080", "8080"):
         WebPanel(address, token="c" * LEAST_TOKEN)
         for token in ("c", "c" * (LEAST_TOKEN - 1)):
-            with pytest.raises(UsageError, match=r"in CAMCTL_MENU_TOKEN is so short .* take 13 characters"):
+            with pytest.raises(
+                UsageError, match=r"in CAMCTL_MENU_TOKEN is so short .* take 13 characters"
+            ):
                 WebPanel(address, token=token)
     with pytest.raises(UsageError, match="is no text in UTF-8"):
         WebPanel("8080", token="\udcff" * LEAST_TOKEN)
