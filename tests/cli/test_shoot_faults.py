@@ -37,6 +37,8 @@ def shot(run: Run, fault: str) -> Any:
 
 @pytest.mark.parametrize("fault", DONE)
 def test_each_fault_has_its_answer(run: Run, fault: str) -> None:
+    if fault.startswith("jpeg"):
+        pytest.importorskip("cv2", reason="OpenCV is blocked")
     status, again, codes = DONE[fault]
     ran = shot(run, fault)
     assert ran.status == status
