@@ -21,7 +21,7 @@ from camctl.system.picture_operations import dilated, opencv
 
 _SHOWN = {".png": "image/png", ".jpg": "image/jpeg"}
 """Files that a browser shows, by suffix; it keeps the others."""
-_BUSY = {State.SHOOTING, State.RESUMING, State.CANCELLING, State.STOPPING}
+_BUSY = {State.SHOOTING, State.SERIES_SHOOTING, State.RESUMING, State.CANCELLING, State.STOPPING}
 _COLOURS = {
     "dark": (80, 120, 255),
     "saturated": (255, 60, 60),
@@ -33,11 +33,28 @@ _MASK_SIDE = 1600
 """Pixels of the longest side of a mask at most: a page shows no more of it."""
 
 
-def _folder(studio: Studio, name: str) -> Path:
+def _found(studio: Studio, address: str) -> tuple[Path, str, str]:
+    """Return the folder of the capture that an address begins with, its name, and what follows.
+
+    A picture of a series has the name ``SERIES/SET``.  Raises `RefusedError` where there is none.
+    """
+    parts = address.split("/")
+    for length in (1, 2):
+        folder = studio.parent.joinpath(*parts[:length])
+        is_plain = all(
+            each and Path(each).name == each and not each.startswith(".") for each in parts[:length]
+        )
+        if len(parts) < length or not is_plain or folder.is_symlink():
+            break
+        if (folder / REPORT).is_file():
+            return folder, "/".join(parts[:length]), "/".join(parts[length:])
+    raise RefusedError(NOT_FOUND, "there is no such capture")
+
+
+def _folder(studio: Studio, address: str) -> Path:
     """Return the folder of a capture; raises `RefusedError` where there is none."""
-    folder = studio.parent / name
-    plain = name and Path(name).name == name and not name.startswith(".")
-    if not plain or folder.is_symlink() or not (folder / REPORT).is_file():
+    folder, _, rest = _found(studio, address)
+    if rest:
         raise RefusedError(NOT_FOUND, "there is no such capture")
     return folder
 
@@ -65,8 +82,7 @@ def files(studio: Studio, request: Request) -> Answer:
 
 def file(studio: Studio, request: Request) -> Answer:
     """Return a file: ``captures/file/NAME/FILE``; a picture is shown without ``keep``."""
-    capture, _, name = request.rest.partition("/")
-    folder = _folder(studio, capture)
+    folder, capture, name = _found(studio, request.rest)
     if name not in _files(folder):
         raise RefusedError(NOT_FOUND, "the capture has no such file")
     kind = _SHOWN.get(Path(name).suffix)
@@ -75,7 +91,7 @@ def file(studio: Studio, request: Request) -> Answer:
     return Answer(
         folder / name,
         kind or "application/octet-stream",
-        f"{capture}-{name.replace('/', '-')}",
+        f"{capture}-{name}".replace("/", "-"),
     )
 
 
@@ -157,8 +173,7 @@ def _numbers(values: Any) -> list[float | None]:
 
 def layer(studio: Studio, request: Request) -> Answer:
     """Return a layer of the mask as a picture to lay over: ``captures/layer/NAME/LAYER``."""
-    capture, _, name = request.rest.partition("/")
-    folder = _folder(studio, capture)
+    folder, _, name = _found(studio, request.rest)
     if name not in _COLOURS or (cv2 := opencv()) is None:
         raise RefusedError(NOT_FOUND, "there is no such layer")
     bit, colour = _bits()[name], _COLOURS[name]

@@ -18,7 +18,8 @@ from ptp_bench import bench
 from site_client import ask_site
 from studio_menu import MakeJob, job_with, start_menu
 
-from camctl import read_report
+import camctl
+from camctl import CaptureRequest, read_report
 from camctl.exposure.light import Metering
 from camctl.interface.camera import Camera
 from camctl.interface.controls import Layout
@@ -296,3 +297,22 @@ def test_profiles_are_listed_and_drawn(start: Start, own_profiles: Path) -> None
         assert status == 422
     else:
         assert content.startswith(b"\x89PNG")
+
+
+def test_picture_of_a_series_is_looked_at(start: Start, tmp_path: Path) -> None:
+    folder = tmp_path / "series-0001-20261125-120000" / "set-0001"
+    with simulated() as camera:
+        camctl.capture(camera, CaptureRequest(count=2), folder)
+    client = start(lambda _: FakeJob())
+    client.until("idle")
+    name = f"{folder.parent.name}/{folder.name}"
+    files = [each["name"] for each in client.json(f"captures/files/{name}")]
+    assert {"report.json", "radiance.exr"} <= set(files)
+    for path in (*files, "preview.png"):
+        assert client.ask(f"captures/file/{name}/{path}")[0] == 200, path
+    assert client.ask(f"captures/small/{name}")[0] == 200
+    assert client.json(f"captures/light/{name}?x=0.5&y=0.5")["light"][0] > 0
+    for wrong in (folder.parent.name, f"{name}/x", f"{folder.parent.name}/../{name}", f"./{name}"):
+        assert client.ask(f"captures/files/{wrong}")[0] == 404, wrong
+    assert client.ask(f"captures/delete/{name}", {})[0] == 200
+    assert not folder.exists()
