@@ -263,10 +263,11 @@ def test_what_is_no_photograph_is_said_by_its_name(start: Start, tmp_path: Path)
     client = start(lambda _: FakeJob())
     client.until("idle")
     taken = json.loads(client.ask("merge/begin", {})[1])["set"]
-    assert client.ask(f"merge/file/{taken}/hosts.txt", "127.0.0.1")[0] == 200
-    status, content = client.ask(
-        f"merge/merge/{taken}", {"files": ["hosts.txt"], "times": "1", "response": "log"}
-    )
+    names = ["hosts.txt", "more.txt"]
+    for name in names:
+        assert client.ask(f"merge/file/{taken}/{name}", "127.0.0.1")[0] == 200
+    asked = {"files": names, "times": "1, 2", "response": "log"}
+    status, content = client.ask(f"merge/merge/{taken}", asked)
     assert status == 422
     assert b"hosts.txt" in content
     assert str(tmp_path).encode() not in content
