@@ -80,6 +80,7 @@ def test_a_few_combinations_of_corners_are_bounded_or_refused() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1500)
 @pytest.mark.parametrize("how", ["pairs", "heavy"])
 @pytest.mark.parametrize("command", sorted({name.split()[0] for name, _ in lines()}, key=str))
 def test_combinations_of_corners_are_bounded_or_refused(command: str, how: str) -> None:
