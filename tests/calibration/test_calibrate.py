@@ -55,7 +55,8 @@ SRGB = np.append(srgb_to_linear(np.arange(1, 256) / 256), np.inf)
 
 def test_the_module_is_imported_when_it_is_named() -> None:
     assert camctl.calibrate.__name__ == "camctl.calibrate"
-    assert camctl.calibrate.__all__ == ["dark", "delay", "exposure", "noise", "response"]
+    measures = ["colour", "dark", "delay", "exposure", "noise", "response"]
+    assert camctl.calibrate.__all__ == measures
 
 
 def test_noise_of_a_camera_and_of_its_frames() -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from camctl_process import RESUME, SHOOT
+from camctl_process import SHOOT
 from command_line import Run
 from crash_sweep import checked
 
@@ -94,7 +94,8 @@ def test_failure_after_the_first_frame_says_how_to_resume(
     ran = run(*SHOOT)
     assert ran.status == (130 if isinstance(error, KeyboardInterrupt) else 1)
     assert re.match(message, ran.error)
-    assert f"; {kept} of 2 frames are kept; {RESUME}" in ran.error
+    what = "make the picture of them" if kept == 2 else "shoot the others"
+    assert f"; {kept} of 2 frames are kept; {what} (camctl resume out)" in ran.error
     folder = Path("out").absolute()
     monkeypatch.undo()  # the working folder, too
     assert checked(folder)["wrong"] == []

@@ -201,7 +201,7 @@ def test_scene_can_be_a_file(run: Run) -> None:
             "--times cannot be combined with --bracket; leave one of them out",
             2,
         ),
-        ("--bracket 1,-2", "invalid value for --bracket: -2; expected positive numbers", 2),
+        ("--bracket 1,-2", "invalid value for --bracket: -2; expected numbers from 1e-100", 2),
         ("--sensor complet", "unknown sensor 'complet'; did you mean complete", 2),
         ("--scene nightstreet", "unknown scene 'nightstreet'; did you mean night-street", 2),
         ("--scene ramp --size 999999x999999", "GiB", 1),
