@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 SHOOT = ("shoot", "-O", "size=24x16", "--ratios", "1,8", "--base", "0.03", "-o", "out")
-RESUME = "shoot the others (camctl resume out)"
 PR_CAPBSET_DROP, CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH = 24, 1, 2
 
 
