@@ -112,7 +112,8 @@ def _corrected(
         together: their light in all frames
     """
     irradiance, deviation = irradiance / np.float32(exposure), deviation / np.float32(exposure)
-    used = np.isfinite(deviation)[values] & (together > 0)
+    # What the model says of samples below black has no logarithm.
+    used = (np.isfinite(deviation) & (irradiance > 0))[values] & (together > 0)
     values, together = values[used], together[used]
     order = np.argsort(values, kind="stable")
     if order.size < _GROUP:

@@ -44,6 +44,7 @@ OUTPUTS = {"-o", "--output", "--plot"}
 run as root, and a command that replaced a device or a system file would damage the machine."""
 
 REFUSED = {
+    "alpaca",
     "menu",
     "studio",
     "resume",

@@ -91,5 +91,5 @@ def write_photographs(folder: Path) -> None:
         assert cv2.imwrite(str(folder / f"p{k}.png"), brightness.astype(np.uint8))
 
 
-ENDLESS = {"live --count", "studio --address"}
+ENDLESS = {"alpaca --address", "live --count", "studio --address"}
 """Options with which a command runs on for as long as it is asked to: they are only parsed."""
