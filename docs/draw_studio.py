@@ -8,6 +8,7 @@ Chromium, and uses the simulated camera.
 
 from __future__ import annotations
 
+import argparse
 import os
 import shutil
 import subprocess
@@ -117,4 +118,7 @@ def main(target: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "pictures" / "studio")
+    parser = argparse.ArgumentParser(description="Draw the views of camctl studio.")
+    pictures = Path(__file__).parent / "pictures" / "studio"
+    parser.add_argument("folder", nargs="?", type=Path, default=pictures)
+    main(parser.parse_args().folder)

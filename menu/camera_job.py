@@ -56,6 +56,7 @@ from camctl.menu.views import (
     summary_view,
 )
 from camctl.messages.menu import error_text
+from camctl.system.files import check_space
 from camctl.system.memory import return_free_memory
 
 if TYPE_CHECKING:  # the idle menu does not load what captures are made with
@@ -323,11 +324,7 @@ class CameraJob:
         def plan_with(camera: Camera) -> Plan:
             plan = _planned(camera, request, cancelled)
             needed, free = needed_bytes(plan, camera.controls), self._free_bytes()
-            if needed > free:
-                raise StorageError(
-                    f"the capture needs {needed / 1e6:.0f} MB, and {free / 1e6:.0f} MB are free",
-                    hint="free some space",
-                )
+            check_space("the capture", needed, free)
             return replace(plan_view(plan, request), needed_bytes=needed, free_bytes=free)
 
         return self._with_camera(plan_with)
@@ -345,8 +342,8 @@ class CameraJob:
         made, request = plan.handle
         folder = next_folder(self._parent, datetime.now())
 
-        def shoot_with(camera: Camera) -> CaptureReport:
-            return capture(
+        def shoot_with(camera: Camera) -> Summary:
+            report = capture(
                 camera,
                 request,
                 folder,
@@ -355,8 +352,13 @@ class CameraJob:
                 progress=lambda each: on_progress(progress_view(each)),
                 cancelled=cancelled,
             )
+            return summary_view(report, folder)
 
-        summary = summary_view(self._with_camera(shoot_with), folder)
+        return self._taken(shoot_with)
+
+    def _taken(self, take: Callable[[Camera], Summary]) -> Summary:
+        """Return what taking pictures brings; battery and card have changed by it."""
+        summary = self._with_camera(take)
         self._ask_condition()
         return_free_memory()
         return summary
@@ -398,10 +400,7 @@ class CameraJob:
                 camera, self._source, request, series, directory, on_progress, cancelled
             )
 
-        summary = self._with_camera(take_with)
-        self._ask_condition()
-        return_free_memory()
-        return summary
+        return self._taken(take_with)
 
     def captures(self) -> tuple[Past, ...]:
         try:

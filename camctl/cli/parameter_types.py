@@ -15,6 +15,7 @@ from click.shell_completion import CompletionItem
 from camctl.errors import DataError, UsageError, unknown_name
 from camctl.model.response.names import RANGES
 from camctl.system.input_files import exists, read_input_text
+from camctl.system.number_text import time_of
 
 if TYPE_CHECKING:
     AnyType = click.ParamType[Any]
@@ -231,13 +232,9 @@ class Seconds(_ValueType):
         """Return the time in s; None for auto."""
         if self._auto and text.lower() == "auto":
             return None
-        numerator, slash, denominator = text.partition("/")
-        value, divisor = _float(numerator), _float(denominator) if slash else 1.0
-        if value > 0 and divisor > 0:
-            seconds = value / divisor
-            if 0 < seconds < math.inf and seconds >= self._least:
-                is_fraction = slash and self._fractions
-                return Fraction(value) / Fraction(divisor) if is_fraction else seconds
+        found = time_of(text)
+        if found is not None and (seconds := float(found)) >= self._least:
+            return found if self._fractions else seconds
         raise invalid_value(option, text, f"expected {self.expected}")
 
     def suggestions(self) -> Iterable[str]:

@@ -68,6 +68,15 @@ def storage_error(path: Path, error: OSError) -> StorageError:
     return StorageError(f"cannot write {path}: {what}", hint=hint, remedies=remedies)
 
 
+def check_space(what: str, needed: int, free: int) -> None:
+    """Raise `StorageError` where `what` needs more bytes than are free."""
+    if needed > free:
+        raise StorageError(
+            f"{what} needs {needed / 1e6:.0f} MB, and {free / 1e6:.0f} MB are free",
+            hint="free some space",
+        )
+
+
 def check_new(path: Path, *, overwrite: bool) -> None:
     """Check that a file may be written at `path`: nothing is there, or a file to be replaced.
 

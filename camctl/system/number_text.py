@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from fractions import Fraction
 
 #: Times of this and longer are written in seconds, shorter ones as a fraction.
 _FRACTIONS_BELOW_S = 0.3
@@ -25,6 +26,24 @@ def range_text(dynamic_range: float) -> str:
         return f"1:{dynamic_range:.{digits}g}"
     number = float(f"{dynamic_range:.9g}")
     return f"1:{number:,.0f}" if number >= 100 else f"1:{number:.3g}"
+
+
+def time_of(text: str) -> float | Fraction | None:
+    """Return the time in s that a text states, a `Fraction` where it is typed as one.
+
+    None where it states no finite time above 0.
+
+    >>> time_of("1/250"), time_of("0.5"), time_of("1/0"), time_of("x")
+    (Fraction(1, 250), 0.5, None, None)
+    """
+    numerator, slash, denominator = text.partition("/")
+    try:
+        value, divisor = float(numerator), float(denominator) if slash else 1.0
+    except ValueError:
+        return None
+    if not (value > 0 and divisor > 0 and 0 < value / divisor < math.inf):
+        return None
+    return Fraction(value) / Fraction(divisor) if slash else value
 
 
 def time_text(seconds: float) -> str:

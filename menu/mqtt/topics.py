@@ -1,4 +1,4 @@
-"""Topics and contents of the messages, and what Home Assistant is told of them."""
+"""Topics and contents of the messages, and the message by which Home Assistant discovers them."""
 
 from __future__ import annotations
 

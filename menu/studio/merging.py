@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import secrets
 import shutil
@@ -14,13 +13,14 @@ from fractions import Fraction
 from http import HTTPStatus
 from pathlib import Path
 
-from camctl.errors import CamctlError, StorageError
+from camctl.errors import CamctlError
 from camctl.menu.capture_list import next_folder
 from camctl.menu.entries import RESPONSES
 from camctl.menu.studio.section import NOT_FOUND, Answer, RefusedError, Request
 from camctl.menu.studio.studio import Studio
 from camctl.messages.menu import error_text
-from camctl.system.files import storage_error
+from camctl.system.files import check_space, storage_error
+from camctl.system.number_text import time_of
 
 _PREFIX = ".photographs-"
 _MOST_FILES = 64
@@ -65,6 +65,11 @@ def _alone() -> Iterator[None]:
         _MERGING.release()
 
 
+def responses(studio: Studio, request: Request) -> Answer:
+    """Return the responses that can be requested, each with its label."""
+    return Answer.of([[each.value, each.labels[0]] for each in RESPONSES])
+
+
 def file(studio: Studio, request: Request) -> Answer:
     """Take a photograph in: ``merge/file/SET/NAME``, the file as the body."""
     set_name, _, name = request.rest.partition("/")
@@ -77,12 +82,7 @@ def file(studio: Studio, request: Request) -> Answer:
         )
     path = folder / name
     try:
-        free = shutil.disk_usage(folder).free
-        if request.length > free:
-            raise StorageError(
-                f"{name} needs {request.length / 1e6:.0f} MB, and {free / 1e6:.0f} MB are free",
-                hint="free some space",
-            )
+        check_space(name, request.length, shutil.disk_usage(folder).free)
         with path.open("xb") as taken:
             left = request.length
             while left and (part := request.body.read(min(left, _PART_BYTES))):
@@ -142,11 +142,9 @@ def _times(text: str) -> tuple[float | Fraction, ...] | None:
     parts = re.split(r"[,;\s]+", text.strip())
     if parts == [""]:
         return None
-    try:
-        times = tuple(Fraction(each) if "/" in each else float(each) for each in parts)
-    except (ValueError, ZeroDivisionError):
-        times = (math.nan,)
-    if not all(0 < each < math.inf for each in times):
+    found = [time_of(each) for each in parts]
+    times = tuple(each for each in found if each is not None)
+    if len(times) < len(found):
         raise RefusedError(
             HTTPStatus.BAD_REQUEST, "exposure times are in seconds, such as 1/60, 1/15, 0.25"
         )

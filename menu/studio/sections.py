@@ -71,6 +71,7 @@ SECTIONS = (
     Section(
         "merge",
         "Merge",
+        get={"responses": merging.responses},
         post={"begin": merging.begin, "file": merging.file, "merge": merging.merge},
     ),
     Section(

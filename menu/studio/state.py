@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
-from camctl.menu.data import Cost
+from camctl.menu.data import Cost, Summary
 from camctl.menu.entries import CHANGEABLE, KEPT, rows
 from camctl.menu.model import Model
 from camctl.menu.ports import Screen
 from camctl.menu.tables import STATES
 
 
-def state_of(model: Model, screen: Screen) -> dict[str, Any]:
-    """Return the words of the screen, and the numbers behind them."""
+def state_of(model: Model, screen: Screen, parent: Path) -> dict[str, Any]:
+    """Return the words of the screen, and the numbers behind them.
+
+    Captures have the names of their folders below `parent`.
+    """
     return {
         "state": model.state,
         "request": model.request_id,
@@ -36,7 +40,7 @@ def state_of(model: Model, screen: Screen) -> dict[str, Any]:
         "reading": _fields(model.reading, "camera"),
         "plan": _fields(model.plan),
         "progress": _fields(model.progress),
-        "summary": _fields(model.summary),
+        "summary": _summary(model.summary, parent),
         "error": model.error,
         "note": model.note,
     }
@@ -62,6 +66,14 @@ def _fields(value: Any, *left_out: str) -> dict[str, Any] | None:
         for name, each in vars(value).items()
         if name not in (*left_out, "handle", "picture")
     }
+
+
+def _summary(summary: Summary | None, parent: Path) -> dict[str, Any] | None:
+    if summary is None:
+        return None
+    folder = Path(summary.folder)
+    name = folder.relative_to(parent) if folder.is_relative_to(parent) else folder.name
+    return {**(_fields(summary) or {}), "name": str(name)}
 
 
 def _cost(cost: Cost | None) -> dict[str, Any] | None:

@@ -46,7 +46,7 @@ class Studio(PagePanel):
         """
         if self._keys:
             return 0
-        state = state_of(self.model, screen)
+        state = state_of(self.model, screen, self.parent)
         with self.changed:
             self._state = state
             self.version += 1

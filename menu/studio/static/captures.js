@@ -3,9 +3,6 @@ import {choose, command, details, get, h, leave, levels, note, percent, post, re
 import {buttons, words} from "./screen.js";
 
 let root, shown = "", armed = "", wanted = "";
-/* A picture of a series is named by both folders. */
-const nameOf = folder => folder.split("/").slice(/\/series-[^/]*\/[^/]*$/.test(folder) ? -2 : -1)
-  .join("/");
 const encode = name => name.split("/").map(encodeURIComponent).join("/");
 const bytes = size => size >= 999500 ? (size / 1e6).toPrecision(3) + " MB"
   : Math.round(size / 1e3) + " kB";
@@ -138,7 +135,7 @@ function result(state, name) {
 export default {
   start(element) { root = element; },
   show(state) {
-    const name = state.summary ? nameOf(state.summary.folder) : "";
+    const name = state.summary ? state.summary.name : "";
     const isResult = ["result", "past"].includes(state.state) && state.summary;
     const here = isResult ? JSON.stringify([state.state, name, state.action])
       : JSON.stringify([state.state, state.captures, state.selected, state.lines]);

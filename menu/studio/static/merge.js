@@ -1,9 +1,7 @@
 /* Photographs of one scene that are dropped here are merged, and the result is opened. */
-import {h, note, post} from "./studio.js";
+import {get, h, note, post} from "./studio.js";
 import {openCapture} from "./captures.js";
 
-const RESPONSES = [["log", "Constant contrast"], ["linear", "Linear"], ["gamma", "Gamma 1/2"],
-  ["auto", "Auto, from the light"]];
 let root, area, input, response, times, status, bar, isBusy = false;
 
 function say(text, share) {
@@ -47,8 +45,10 @@ export default {
     bar = h("progress", {max: 1, hidden: true, "aria-label": "progress"});
     input = h("input", {type: "file", multiple: true, id: "photographs",
       onchange: () => take(input.files)});
-    response = h("select", {id: "response"},
-      RESPONSES.map(([value, title]) => h("option", {value}, title)));
+    response = h("select", {id: "response"});
+    get("merge/responses").then(answer => answer.json()).then(found =>
+      response.append(...found.map(([value, title]) => h("option", {value}, title))))
+      .catch(error => note(error.message));
     times = h("input", {type: "text", id: "times", placeholder: "1/60, 1/15, 1/4"});
     area = h("div", {class: "card drop",
       ondragover: event => { event.preventDefault(); area.classList.add("over"); },

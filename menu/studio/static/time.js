@@ -46,20 +46,18 @@ function draw(front, rivals, selected) {
   const size = dial.getBoundingClientRect().width < 450 ? 24 : 15;
   const place = scale(front, rivals), places = front.map(place);
   const [x, y] = places[selected], point = front[selected];
-  const slowest = [...front, ...rivals].reduce((a, b) => a.wall_s > b.wall_s ? a : b);
-  const quickest = [...front, ...rivals].reduce((a, b) => a.wall_s < b.wall_s ? a : b);
-  const worst = [...front, ...rivals].reduce((a, b) =>
-    a.effective_levels < b.effective_levels ? a : b);
+  const times = [...front, ...rivals].map(each => each.wall_s);
+  const counts = [...front, ...rivals].map(each => each.effective_levels);
   const label = (text, at, anchor) => svg("text", {x: at[0], y: at[1], fill: "#b9c2cc",
     "font-size": size, "text-anchor": anchor}, text);
   const parts = [
     svg("line", {x1: LEFT, y1: HEIGHT - BOTTOM, x2: WIDTH - RIGHT, y2: HEIGHT - BOTTOM,
       stroke: "#4a5563"}),
-    label(time(quickest.wall_s), [LEFT, HEIGHT - 34], "start"),
-    label(time(slowest.wall_s), [WIDTH - RIGHT, HEIGHT - 34], "end"),
+    label(time(Math.min(...times)), [LEFT, HEIGHT - 34], "start"),
+    label(time(Math.max(...times)), [WIDTH - RIGHT, HEIGHT - 34], "end"),
     label("time of the capture", [(LEFT + WIDTH) / 2, HEIGHT - 4], "middle"),
-    label(levels(worst.effective_levels), [LEFT - 8, HEIGHT - BOTTOM], "end"),
-    label(levels(front.at(-1).effective_levels), [LEFT - 8, TOP + 16], "end"),
+    label(levels(Math.min(...counts)), [LEFT - 8, HEIGHT - BOTTOM], "end"),
+    label(levels(Math.max(...counts)), [LEFT - 8, TOP + 16], "end"),
     svg("polyline", {points: places.map(each => each.join(",")).join(" "), fill: "none",
       stroke: "#9ec5ff", "stroke-width": 2}),
     ...rivals.map(each => {

@@ -166,7 +166,7 @@ def test_series_is_taken_and_cancelled_and_what_is_impossible_is_refused(
         now = home.wait_for(
             "camctl/hall/state", lambda data: json.loads(data)["refused"] == "cancel", now
         )
-        home.send("nonsense")
+        home.send("unknown")
         home.send("series")
         now = home.wait_for_state("series_shooting", now)
         home.send("shoot")
