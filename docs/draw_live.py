@@ -9,13 +9,11 @@ that has nothing else to do.  It needs Playwright and Chromium.
 from __future__ import annotations
 
 import json
-import shutil
-import subprocess
 import sys
 import urllib.request
 from pathlib import Path
 
-from playwright.sync_api import sync_playwright
+from served_page import chromium, served
 
 #: The example of docs/how-to/live.md.
 COMMAND = ("--scene", "moving-target", "-O", "size=320x240", "--fps", "15")
@@ -24,25 +22,13 @@ SEEN_MS = 8000  # results that the page has shown before it is drawn
 
 def main(target: Path) -> None:
     """Draw the page."""
-    command = [sys.executable, "-m", "camctl", "live", *COMMAND, "--output", "http:0"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    assert process.stderr is not None
-    try:
-        url = process.stderr.readline().split()[-1]
-        with sync_playwright() as playwright:
-            browser = playwright.chromium.launch(
-                executable_path=shutil.which("chromium"), args=["--no-sandbox"]
-            )
-            page = browser.new_page(viewport={"width": 1280, "height": 800})
-            page.goto(url)
-            page.wait_for_timeout(SEEN_MS)
-            page.screenshot(path=target)
-            with urllib.request.urlopen(f"{url}state") as answer:
-                print(f"frames lost: {json.load(answer)['lost']}")
-            browser.close()
-    finally:
-        process.terminate()
-        process.wait()
+    with served("live", *COMMAND, "--output", "http:0") as url, chromium() as browser:
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.goto(url)
+        page.wait_for_timeout(SEEN_MS)
+        page.screenshot(path=target)
+        with urllib.request.urlopen(f"{url}state") as answer:
+            print(f"frames lost: {json.load(answer)['lost']}")
 
 
 if __name__ == "__main__":

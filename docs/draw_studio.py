@@ -10,33 +10,16 @@ from __future__ import annotations
 
 import argparse
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from playwright.sync_api import sync_playwright
+from served_page import chromium, served
 
 QUALITY = 80  # of the JPEG files, 1 to 100
 SIZES = ((390, 844), (844, 390), (1280, 800))
-
-
-@contextmanager
-def studio(folder: str, *options: str) -> Iterator[str]:
-    """Yield the address of a studio whose captures are in a folder."""
-    command = [sys.executable, "-m", "camctl", "studio", "--address", "0", "-o", folder]
-    command += ["--menu-settings", f"{folder}/menu.json", *options]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    assert process.stderr is not None
-    try:
-        yield process.stderr.readline().split()[-1]
-    finally:
-        process.terminate()
-        process.wait()
 
 
 def tour(page: Any, take: Any) -> None:
@@ -94,27 +77,30 @@ def tour(page: Any, take: Any) -> None:
 
 def main(target: Path) -> None:
     """Draw all."""
-    with tempfile.TemporaryDirectory() as profiles, sync_playwright() as playwright:
+    with tempfile.TemporaryDirectory() as profiles, chromium() as browser:
         os.environ["CAMCTL_PROFILES"] = profiles
         calibrate = [sys.executable, "-m", "camctl", "calibrate", "all", "--camera", "sim"]
         subprocess.run(calibrate, check=True, capture_output=True)
-        browser = playwright.chromium.launch(
-            executable_path=shutil.which("chromium"), args=["--no-sandbox"]
-        )
         for width, height in SIZES:
-            with tempfile.TemporaryDirectory() as folder, studio(folder) as url:
-                page = browser.new_page(viewport={"width": width, "height": height})
-                page.on("pageerror", lambda error: print(error, file=sys.stderr))
-                page.goto(url)
+            with tempfile.TemporaryDirectory() as folder:
+                settings = ("--menu-settings", f"{folder}/menu.json")
+                with served("studio", "--address", "0", "-o", folder, *settings) as url:
+                    draw(browser, url, (width, height), target)
 
-                def take(view: str, page: Any = page, size: str = f"{width}x{height}") -> None:
-                    page.screenshot(
-                        path=target / f"{view}-{size}.jpg", type="jpeg", quality=QUALITY
-                    )
 
-                tour(page, take)
-                page.close()
-        browser.close()
+def draw(browser: Any, url: str, size: tuple[int, int], target: Path) -> None:
+    """Draw the views of a studio at one size."""
+    width, height = size
+    page = browser.new_page(viewport={"width": width, "height": height})
+    page.on("pageerror", lambda error: print(error, file=sys.stderr))
+    page.goto(url)
+
+    def take(view: str) -> None:
+        path = target / f"{view}-{width}x{height}.jpg"
+        page.screenshot(path=path, type="jpeg", quality=QUALITY)
+
+    tour(page, take)
+    page.close()
 
 
 if __name__ == "__main__":
