@@ -11,11 +11,11 @@ import click
 
 from camctl.cli import options
 from camctl.cli.capture_output import (
-    capture_text,
     new_directory,
     print_findings,
     show_capture,
 )
+from camctl.cli.capture_output.summary import capture_text
 from camctl.cli.commands import command
 from camctl.cli.options import declare, declare_as
 from camctl.cli.output import (

@@ -160,7 +160,7 @@ def logged_warnings() -> Iterator[None]:
 
 
 FORMAT_VERSION = 1
-"""Of the JSON objects that have no version of their own; see `camctl.cli.json_types`."""
+"""Of the JSON objects that have no version of their own; see `camctl.cli.schema.types`."""
 
 
 def print_json(value: object) -> None:

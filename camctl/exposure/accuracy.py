@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from time import process_time
 
 from camctl.errors import UsageError
-from camctl.exposure.accurate_sets import AccurateSets
+from camctl.exposure.accurate.sets import AccurateSets
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.exposure_choices import SAME, AccuracyProblem, Rated
 from camctl.exposure.solver import Progress, Solution

@@ -10,7 +10,7 @@ import pytest
 from scene_maps import MAPS, write_map
 
 import camctl
-from camctl.cli.capture_output import light_text
+from camctl.cli.capture_output.summary import light_text
 from camctl.findings import Finding
 from camctl.records.capture_plan import MUCH, PlannedLight
 from camctl.sim.scenes.scene import scene_names

@@ -16,7 +16,7 @@ from sampling import some
 
 from camctl.cli.sensitivity import describe_losses, format_levels
 from camctl.cli.solve import DEFAULT_EVALUATIONS
-from camctl.cli.solve_output import certificate_text
+from camctl.cli.solve.output import certificate_text
 from camctl.exposure.lower_bound import Certificate
 from camctl.exposure.objective import xi
 from camctl.exposure.robustness import Robustness, Spread

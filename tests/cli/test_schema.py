@@ -13,7 +13,7 @@ from bracketed_photographs import Series
 from command_line import Run
 
 from camctl.cli import cli
-from camctl.cli.json_types import schema, schema_names
+from camctl.cli.schema.types import schema, schema_names
 
 jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
 

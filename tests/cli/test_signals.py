@@ -109,7 +109,7 @@ AtCall = Callable[[str, signal.Signals], None]
         ("shoot -O size=24x16 -n 2 -o out", "camctl.sim.camera:SimulatedCamera.preview", ""),
         (
             "shoot -O size=24x16 -n 2 --range 3 --base 0.01 -o out",
-            "camctl.exposure.accurate_sets:AccurateSets.within",
+            "camctl.exposure.accurate.sets:AccurateSets.within",
             "",
         ),
         (SHOOT, "camctl.sim.camera:SimulatedCamera._frames", f"; 0 of 2 frames are kept; {RESUME}"),

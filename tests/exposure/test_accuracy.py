@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from sampling import some
 
 from camctl.errors import DataError, UsageError
-from camctl.exposure import judge
 from camctl.exposure.accuracy import NEAR_TIE, AccuracySolution, accurate_sets, solve_accuracy
+from camctl.exposure.accurate import judge
 from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures, Shot, TimeCosts
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.model.effective import EffectiveCamera

@@ -27,7 +27,7 @@ from camctl.exposure.accuracy import (
     most_accurate,
     sets_within,
 )
-from camctl.exposure.accurate_sets import AccurateSets
+from camctl.exposure.accurate.sets import AccurateSets
 from camctl.exposure.cache import kept
 from camctl.exposure.exposure_choices import (
     Rated,

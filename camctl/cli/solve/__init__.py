@@ -42,7 +42,7 @@ from camctl.cli.search_options import (
     objective_options,
     search_limits,
 )
-from camctl.cli.solve_output import SettingsResult, SolveResult
+from camctl.cli.solve.output import SettingsResult, SolveResult
 from camctl.errors import UsageError
 
 if TYPE_CHECKING:

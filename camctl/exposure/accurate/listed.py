@@ -14,7 +14,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from camctl.exposure.design import DesignSearch
+from camctl.exposure.accurate.design import DesignSearch
 from camctl.exposure.exposure_choices import SAME, Rated, Shots
 from camctl.model.effective import EffectiveCamera, effective_levels
 from camctl.model.response.camera import FloatArray

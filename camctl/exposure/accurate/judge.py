@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from camctl.exposure.estimate import FrameAccuracy
+from camctl.exposure.accurate.estimate import FrameAccuracy
 from camctl.exposure.exposure_choices import AccuracyProblem, Rated, Shot, Shots
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.model.effective import EffectiveCamera

@@ -1,7 +1,7 @@
 """Sets of least quantisation error, for cameras whose noise does not dither the quantiser.
 
 Without noise the accuracy follows from the gaps between the levels, which the estimate of
-`camctl.exposure.estimate` takes no account of: levels of several exposures can interleave.
+`camctl.exposure.accurate.estimate` takes no account of: levels of several exposures can interleave.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from camctl.exposure.accurate.design import DesignSearch
+from camctl.exposure.accurate.frame_sets import Design
 from camctl.exposure.candidates import BatchScore
-from camctl.exposure.design import DesignSearch
 from camctl.exposure.exposure_choices import SAME, Shot, Shots
-from camctl.exposure.frame_sets import Design
 from camctl.exposure.objective import ExposureProblem, Objective
 from camctl.exposure.random_sets import RandomSets
 from camctl.model.response.camera import FloatArray, every_nth_level

@@ -1,8 +1,8 @@
 """Sets of frames of least estimated error: within a time, or for a weight of time.
 
-The estimate of `camctl.exposure.estimate` adds up over the frames of a set, so that the best
-frame to add, to leave out or to replace follows from one pass over all there are.  Exchanges find
-how many frames of which gain a set has; then its shutter times are tuned, where any can be set.
+The estimate (`FrameAccuracy`) adds up over the frames of a set, so that the best frame to add, to
+leave out or to replace follows from one pass over all there are.  Exchanges find how many frames of
+which gain a set has; then its shutter times are tuned, where any can be set.
 
 A set of least ln(mse) + w ln(time) lies on the front of accuracy and time, where the effective
 levels grow as time^(w/2).  For w = 1 more time brings what averaging would bring.
@@ -18,10 +18,10 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.exposure.estimate import FrameAccuracy
+from camctl.exposure.accurate.estimate import FrameAccuracy
+from camctl.exposure.accurate.frame_sets import Design
+from camctl.exposure.accurate.tuning import BETTER, LEAST_WEIGHT, TunedSets
 from camctl.exposure.exposure_choices import SAME
-from camctl.exposure.frame_sets import Design
-from camctl.exposure.tuning import BETTER, LEAST_WEIGHT, TunedSets
 
 WEIGHTS = (10.0, 5.0, 3.0, 2.0, 1.6, 1.3, 1.15, 1.0, 0.85, 0.7, 0.5, 0.35, 0.2, 0.1, 0.05)
 """Weights of time whose sets are traced along the front; at the last one, twice the time brings

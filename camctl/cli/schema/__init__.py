@@ -23,8 +23,8 @@ def schema(names: tuple[str, ...]) -> None:
     Objects have a format_version: it changes where a field goes or gets another meaning, and not
     where one is added.
     """
-    from camctl.cli.json_types import schema as schema_of
-    from camctl.cli.json_types import schema_names
+    from camctl.cli.schema.types import schema as schema_of
+    from camctl.cli.schema.types import schema_names
 
     known = schema_names()
     name = " ".join(names)

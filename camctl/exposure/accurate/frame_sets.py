@@ -1,6 +1,6 @@
 """Sets of frames with what each contributes to their accuracy, and what each takes.
 
-The estimate of `camctl.exposure.estimate` adds up over the frames of a set.
+The estimate of `camctl.exposure.accurate.estimate` adds up over the frames of a set.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.exposure.estimate import FrameAccuracy
+from camctl.exposure.accurate.estimate import FrameAccuracy
 from camctl.exposure.exposure_choices import MAX_CHOICES, SAME, AccuracyProblem, Shot, Shots
 from camctl.model.response.camera import FloatArray
 

@@ -1,6 +1,6 @@
 """The most accurate sets of exposures of one camera, for each time.
 
-The estimate (`camctl.exposure.design`) finds the sets, the exact distribution of their sum judges
+The estimate (`DesignSearch`) finds the sets, the exact distribution of their sum judges
 them.  Where noise is so low that it does not dither the quantiser, the gaps between the levels
 decide, and sets of least quantisation error within the same time are judged, too.  Of short lists
 of settings all sets are considered.
@@ -16,13 +16,13 @@ from typing import TypeAlias
 
 import numpy as np
 
-from camctl.exposure.design import DesignSearch
-from camctl.exposure.estimate import FrameAccuracy
+from camctl.exposure.accurate.design import DesignSearch
+from camctl.exposure.accurate.estimate import FrameAccuracy
+from camctl.exposure.accurate.frame_sets import Design
+from camctl.exposure.accurate.judge import Judge
+from camctl.exposure.accurate.least_quantisation import COUNTS, least_quantisation
+from camctl.exposure.accurate.listed import ListedSets
 from camctl.exposure.exposure_choices import SAME, AccuracyProblem, Rated, bases
-from camctl.exposure.frame_sets import Design
-from camctl.exposure.judge import Judge
-from camctl.exposure.least_quantisation import COUNTS, least_quantisation
-from camctl.exposure.listed_sets import ListedSets
 from camctl.exposure.noise import DITHERS
 from camctl.exposure.random_sets import interleave_step
 from camctl.model.distribution import deviation
@@ -87,7 +87,7 @@ NEAR_TIME = 1.003
 """Ratio of times within which the shortest time for an accuracy is found."""
 
 WEIGHT_LIMITS = 0.02, 10.0
-"""Least and largest weight of time (see `camctl.exposure.design`) that is believed there."""
+"""Least and largest weight of time (see `DesignSearch`) that is believed there."""
 
 
 MOST_LONGER = 100.0
