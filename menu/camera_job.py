@@ -177,6 +177,8 @@ class CameraJob:
         A camera without preview is asked for nothing.
         """
         reading = self._with_camera(self._reading, keeps_view=True)
+        if reading.rate is None:  # the next one is a second away at least
+            return_free_memory()
         if reading.focus is None:
             return reading
         self._best_focus = max(self._best_focus, reading.focus)

@@ -134,7 +134,7 @@ def rows(model: Model) -> tuple[Entry, ...]:
         case State.SETTINGS:
             return _changeable(model.settings, CHANGEABLE)
         case State.SERIES:
-            start = Entry(("Start",), action=Action.START)
+            start = Entry((f"Start, {_duration(series(model))}", "Start"), action=Action.START)
             return (*_changeable(model.settings, _OF_SERIES), start)
         case State.MENU:
             return MAIN_MENU
@@ -146,6 +146,12 @@ def _changeable(settings: Settings, names: tuple[str, ...]) -> tuple[Entry, ...]
     return tuple(
         Entry(KEPT[name][getattr(settings, name)].labels, name, Action.CHANGE) for name in names
     )
+
+
+def _duration(asked: SeriesChoice) -> str:
+    if asked.interval_s is None:
+        return "one after the other"
+    return f"{format_short_time((asked.count - 1) * asked.interval_s)} in all"
 
 
 def series(model: Model) -> SeriesChoice:

@@ -61,6 +61,8 @@ def _after_key(model: Model, key: Key) -> tuple[Model, Effect | None]:
             return model, None
         symbol = entries[selected(model)].action or key
     target = row.get(symbol, model.state)
+    if symbol is Action.RETRY and target is State.PLANNING:
+        target = model.begun
     if symbol is Action.CHANGE:
         return _with_changed_setting(model), None
     if target is model.state:
@@ -91,9 +93,15 @@ def _after_tick(model: Model) -> tuple[Model, Effect | None]:
     return _started(model, work)
 
 
+_BEGINNINGS = {State.PLANNING, State.RESUMING, State.SERIES_SHOOTING}
+"""States that taking pictures begins with."""
+
+
 def _enter(model: Model, state: State) -> tuple[Model, Effect | None]:
     """Go to `state`; the work that starts there has a new request id."""
     model = replace(model, state=state, action=0, offset=0)
+    if state in _BEGINNINGS:
+        model = replace(model, begun=state)
     if state is State.CANCELLING:
         return model, Cancel(model.request_id)
     if state is State.TIMER:
@@ -156,7 +164,7 @@ def _with_goal(model: Model, symbol: Symbol, target: State) -> Model:
     if model.state is State.CAMERAS and target is State.OPENING:
         camera = model.cameras[model.cursor].id
         return replace(model, settings=replace(model.settings, camera=camera), camera=None)
-    keeps = {State.LOOKING, State.RESUMING, State.CAPTURES}
+    keeps = {State.LOOKING, State.RESUMING, State.CAPTURES, State.CANCELLING, State.STOPPING}
     return model if target in keeps else replace(model, cursor=0)
 
 

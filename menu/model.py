@@ -122,6 +122,7 @@ class Model:
         error: message of the last failure
         note: a remark for the idle screen
         request_id: of the work started last; events of earlier work are ignored
+        begun: what taking pictures began with last, and begins with again after it was cancelled
     """
 
     state: State = State.STARTING
@@ -145,3 +146,4 @@ class Model:
     error: str = ""
     note: str = ""
     request_id: int = 0
+    begun: State = State.PLANNING

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import camctl
@@ -119,7 +120,12 @@ def _plan(plan: Plan) -> Screen:
     )
     frames = [
         Line(
-            (f"{index} {text:>{width}} x{format_ratio(ratio)}", f"{index} {text.replace(' ', '')}")
+            (
+                f"{index} {text:>{width}} x{format_ratio(ratio)}",
+                f"{index} {text}",
+                f"{index} {_rounded(text)}",
+                f"{index} {_rounded(text).replace(' s', 's').replace('gain ', 'gain')}",
+            )
         )
         for index, (text, ratio) in enumerate(plan.frames, start=1)
     ]
@@ -135,6 +141,15 @@ def _plan(plan: Plan) -> Screen:
             *(f"! {warning}" for warning in plan.warnings),
         ),
     )
+
+
+def _rounded(text: str) -> str:
+    """Return the setting of a frame with three digits of each number.
+
+    >>> _rounded("1.72274 s gain 2.828427")
+    '1.72 s gain 2.83'
+    """
+    return re.sub(r"\d+\.\d+", lambda found: f"{float(found[0]):.3g}", text)
 
 
 def _noise_text(noise_free: float | None, noise_known: bool) -> str:

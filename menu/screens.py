@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 from camctl.menu import pages
 from camctl.menu.data import Cost
 from camctl.menu.diagram import KEYS
-from camctl.menu.entries import RESPONSES, TIMERS, requested, rows, seconds, series
+from camctl.menu.entries import RESPONSES, TIMERS, requested, rows, seconds
 from camctl.menu.machine import choices, selected
 from camctl.menu.model import Action, Goal, Model, State
 from camctl.menu.ports import Line, Mood, Panel, Screen
@@ -139,15 +139,8 @@ def _list_detail(model: Model, index: int) -> Line | None:
         return Line((model.cameras[index].id, model.cameras[index].id[-16:]))
     if model.state in (State.SETTINGS, State.SERIES):
         starts = rows(model)[index].action is Action.START
-        return Line((_series_text(model), "enter: start") if starts else ("enter: change",))
+        return Line(("enter: start" if starts else "enter: change",))
     return None
-
-
-def _series_text(model: Model) -> str:
-    asked = series(model)
-    if asked.interval_s is None:
-        return "enter: start, one after the other"
-    return f"enter: start, {format_short_time((asked.count - 1) * asked.interval_s)} in all"
 
 
 def _point_detail(point: Cost) -> tuple[str, ...]:

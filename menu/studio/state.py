@@ -25,7 +25,7 @@ def state_of(model: Model, screen: Screen, parent: Path) -> dict[str, Any]:
         "title": screen.title.texts[0],
         "lines": [line.texts[0] for line in screen.lines],
         "paragraphs": screen.paragraphs,
-        "detail": screen.detail.texts[0] if screen.detail is not None else "",
+        "detail": _detail(screen),
         "selected": screen.selected,
         "actions": [each.name.lower() for each in STATES[model.state].actions],
         "action": model.action,
@@ -44,6 +44,12 @@ def state_of(model: Model, screen: Screen, parent: Path) -> dict[str, Any]:
         "error": model.error,
         "note": model.note,
     }
+
+
+def _detail(screen: Screen) -> str:
+    """Return what the selected entry costs, but not what a key does with it."""
+    text = "" if screen.detail is None else screen.detail.texts[0]
+    return "" if text.startswith("enter: ") else text
 
 
 def _entry(action: Any) -> str:

@@ -199,3 +199,27 @@ def test_drawing_of_the_documentation_is_up_to_date() -> None:
     drawing = (DOCS / "pictures/menu-states.svg").read_text(encoding="utf-8")
     assert drawing.startswith(f"<!--\n{diagram()}-->\n<svg")
     assert drawing.count('class="edge"') == diagram().count(" -> ")
+
+
+@pytest.mark.parametrize("begun", [State.PLANNING, State.RESUMING, State.SERIES_SHOOTING])
+def test_retry_after_a_cancel_begins_the_same_again(begun: State) -> None:
+    unfinished = [each.is_complete for each in CAPTURES].index(False)
+    before = {
+        State.PLANNING: replace(FULL, state=State.EXPOSURES),
+        State.RESUMING: replace(FULL, state=State.CAPTURES, cursor=unfinished),
+        State.SERIES_SHOOTING: replace(FULL, state=State.SERIES, cursor=2),
+    }[begun]
+    model, started = step(before, Key.ENTER)
+    assert model.state is begun
+    if begun is State.PLANNING:
+        model, _ = step(replace(model, state=State.REVIEW), Key.ENTER)
+    model, cancel = step(model, Key.EXIT)
+    assert isinstance(cancel, Cancel)
+    model, _ = step(model, Event(Outcome.CANCELLED, model.request_id, "cancelled"))
+    assert model.state is State.CANCELLED
+    retry = STATES[State.CANCELLED].actions.index(Action.RETRY)
+    model, again = step(replace(model, action=retry), Key.ENTER)
+    assert model.state is begun
+    assert isinstance(started, Start)
+    assert isinstance(again, Start)
+    assert (again.work, again.argument) == (started.work, started.argument)
