@@ -29,10 +29,12 @@ from camctl.pictures.metadata import (
 from camctl.pictures.preview import renditions
 from camctl.pictures.preview_light import PREVIEW_SIDE, LightReducer
 from camctl.pictures.render import Rendering, Strip, as_halves
+from camctl.stills import maps
+from camctl.stills.separate import map_apart
 from camctl.system.files import atomic_file, storage_error, write_bytes
 from camctl.system.input_files import check_regular, read_own_file
 from camctl.system.interrupts import uninterrupted
-from camctl.system.library_output import exr_source, quiet_libraries
+from camctl.system.library_output import quiet_libraries
 from camctl.system.memory import return_free_memory
 from camctl.system.picture_operations import opencv, png
 from camctl.system.threads import THREADS, Threads, in_threads
@@ -192,10 +194,8 @@ def read_tiff(path: Path) -> NDArray[Any]:
     Raises:
         DataError: the file is missing or damaged
     """
-    import tifffile
-
     with _readable(path):
-        samples = np.asarray(tifffile.imread(path))
+        samples, _ = map_apart(maps.read_tiff, path)
         if samples.ndim not in (2, 3):
             raise ValueError("the file holds no picture")
         return samples
@@ -224,17 +224,8 @@ def read_deviation(path: Path) -> NDArray[np.float32]:
 
 
 def _read_channels(path: Path, prefix: str) -> NDArray[Any]:
-    import OpenEXR
-
-    with (
-        _readable(path),
-        exr_source(path) as source,
-        OpenEXR.File(source, separate_channels=True) as file,
-    ):
-        channels = file.channels()
-        names = "Y" if "Y" in channels else "RGB"
-        found = [channels[prefix + name].pixels for name in names]
-        return found[0].copy() if len(names) == 1 else np.stack(found, axis=-1)
+    with _readable(path):
+        return map_apart(maps.read_radiance, path, prefix)[0]
 
 
 def load_libraries() -> None:

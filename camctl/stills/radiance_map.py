@@ -1,20 +1,28 @@
-"""Reads radiance maps: .hdr and .pic (RGBE, here in numpy), .exr (apart), .tiff and .npy."""
+"""Reads radiance maps: .hdr and .pic (RGBE) and .npy here, in numpy; .exr and .tiff apart."""
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import DataError, OutOfMemoryError
-from camctl.stills.exr import Map, Shape
-from camctl.stills.separate import exr_apart, exr_exposure_apart, exr_shape_apart
+from camctl.stills.maps import (
+    Map,
+    Shape,
+    exr_exposure,
+    exr_shape,
+    read_exr,
+    read_tiff,
+    tiff_shape,
+)
+from camctl.stills.separate import fact_apart, map_apart
 from camctl.system.input_files import check_regular
 from camctl.system.library_output import quiet_libraries
 
@@ -40,7 +48,7 @@ def read_shape(path: Path) -> Shape:
     Raises:
         DataError: missing, unreadable, or not of the type that its suffix names
     """
-    return _read(path, _FILE_TYPES[path.suffix.lower()].read_shape)
+    return tuple(_read(path, _FILE_TYPES[path.suffix.lower()].read_shape))
 
 
 def read_map(path: Path) -> Map:
@@ -54,12 +62,12 @@ def read_map(path: Path) -> Map:
 
 
 def read_exr_exposure(path: Path) -> dict[str, float]:
-    """Return the exposure that an .exr file states, see `camctl.stills.exr.exr_exposure`.
+    """Return the exposure that an .exr file states, see `camctl.stills.maps.exr_exposure`.
 
     Raises:
         DataError: missing, unreadable, or no .exr file
     """
-    return _read(path, exr_exposure_apart)
+    return _read(path, partial(fact_apart, exr_exposure))
 
 
 def _read(path: Path, read: Callable[[Path], Result]) -> Result:
@@ -202,45 +210,14 @@ def _npy(path: Path) -> Map:
     return np.load(path, allow_pickle=False), ()
 
 
-def _tiff_shape(path: Path) -> Shape:
-    import tifffile
-
-    with tifffile.TiffFile(path) as file:
-        return tuple(_series(path, file).shape)
-
-
-def _tiff(path: Path) -> Map:
-    import tifffile
-
-    with tifffile.TiffFile(path) as file:
-        series = _series(path, file)
-        values = np.asarray(series.asarray())
-        axes = series.axes
-    if values.ndim == 3 and axes[0] in "SC" and values.shape[0] in (1, 3):
-        values = np.moveaxis(values, 0, -1)  # stored as separate planes
-    if values.ndim == 3 and values.shape[2] == 4:
-        return values[..., :3], ("the fourth channel was taken as opacity and ignored",)
-    return values, ()
-
-
-def _series(path: Path, file: Any) -> Any:
-    """Return the first picture of a `tifffile.TiffFile`; raise `DataError` where strips lack.
-
-    tifffile would go through all that are missing, and a short file may state millions.
-    """
-    series = file.series[0]
-    page = series.keyframe
-    if len(page.dataoffsets) < math.prod(page.chunked):
-        raise DataError(f"{path}: most of its samples are missing", hint=_FETCH_AGAIN)
-    return series
-
-
+_EXR = _FileType(partial(fact_apart, exr_shape), partial(map_apart, read_exr))
+_TIFF = _FileType(partial(fact_apart, tiff_shape), partial(map_apart, read_tiff))
 _FILE_TYPES = {
     ".hdr": _FileType(_rgbe_shape, _rgbe),
     ".pic": _FileType(_rgbe_shape, _rgbe),
-    ".exr": _FileType(exr_shape_apart, exr_apart),
-    ".tif": _FileType(_tiff_shape, _tiff),
-    ".tiff": _FileType(_tiff_shape, _tiff),
+    ".exr": _EXR,
+    ".tif": _TIFF,
+    ".tiff": _TIFF,
     ".npy": _FileType(_npy_shape, _npy),
 }
 SUFFIXES = tuple(_FILE_TYPES)

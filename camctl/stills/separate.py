@@ -26,12 +26,11 @@ from camctl.errors import CamctlError, CameraProtocolError, DataError, UsageErro
 from camctl.interface.colour import CameraColour
 from camctl.interface.controls import Layout
 from camctl.stills.decoding import MAX_PIXELS, Still, read_still
-from camctl.stills.exr import Map, Shape, exr_exposure, exr_shape, read_exr
+from camctl.stills.maps import Map
 from camctl.stills.worker import put
 
 _COMMAND = (sys.executable, "-P", "-m", "camctl.stills.worker")
 _ERRORS = {each.__name__: each for each in (CameraProtocolError, DataError, UsageError)}
-_EXR_TYPES = (np.float16, np.float32, np.uint32)
 _Answer = TypeVar("_Answer")
 _lock = threading.Lock()
 
@@ -82,10 +81,9 @@ class _Worker:
         put(self.shared.fileno(), data)
         return _still(self.ask(name=name, bytes=len(data)), self.shared.fileno())
 
-    def read_exr(self, path: Path) -> Map:
-        """Return the samples of an OpenEXR file; the errors of `ask`."""
-        head = self.ask(name=str(path), exr="map")
-        samples = _samples(head, self.shared.fileno(), _EXR_TYPES)
+    def map(self, head: dict[str, Any]) -> Map:
+        """Return the samples that an answer speaks of; raises as `_samples`."""
+        samples = _samples(head, self.shared.fileno(), "biuf")
         os.ftruncate(self.shared.fileno(), 0)  # maps are large, and few follow
         return samples, tuple(map(str, head["notes"]))
 
@@ -111,55 +109,53 @@ def read_apart(data: bytes, name: str) -> Still:
     """
     if os.name != "posix":  # files are not passed to other processes there
         return read_still(data, name)
-    return _apart(name, lambda worker: worker.read(data, name))
+    try:
+        return _apart(lambda worker: worker.read(data, name))
+    except UnreadableError as error:
+        raise CameraProtocolError(f"{name} cannot be read: {error}", hint="leave it out") from error
 
 
-def exr_apart(path: Path) -> Map:
-    """Return the samples of an OpenEXR file, as `read_exr` does.
+def map_apart(read: Callable[..., Map], path: Path, *arguments: str) -> Map:
+    """Return what one of `camctl.stills.maps.READERS` reads from a file.
 
     Raises:
-        DataError: it cannot be used, or decoding it takes too much time, or crashes
-        UnreadableError: what the library says
+        DataError: it cannot be used
+        UnreadableError: what the library says, or what became of the process
+        OSError: it cannot be opened
     """
     if os.name != "posix":
-        return read_exr(path)
-    return _exr_apart(path, _Worker.read_exr)
+        return read(path, *arguments)
+    return _found(read, path, *arguments, take=_Worker.map)
 
 
-def exr_shape_apart(path: Path) -> Shape:
-    """Return the shape of an OpenEXR file, as `exr_shape` does; raises as `exr_apart`."""
+def fact_apart(read: Callable[[Path], Any], path: Path) -> Any:
+    """Return what such a reader finds that is no map, lists for tuples; raises as `map_apart`."""
     if os.name != "posix":
-        return exr_shape(path)
-    answer = _exr_apart(path, lambda worker, file: worker.ask(name=str(file), exr="shape"))
-    return tuple(int(side) for side in answer["shape"])
+        return read(path)
+    return _found(read, path, take=lambda _worker, head: head["found"])
 
 
-def exr_exposure_apart(path: Path) -> dict[str, float]:
-    """Return the exposure of an OpenEXR file, as `exr_exposure` does; raises as `exr_apart`."""
-    if os.name != "posix":
-        return exr_exposure(path)
-    answer = _exr_apart(path, lambda worker, file: worker.ask(name=str(file), exr="exposure"))
-    return {name: float(value) for name, value in answer.items()}
-
-
-def _exr_apart(path: Path, ask: Callable[[_Worker, Path], _Answer]) -> _Answer:
+def _found(
+    read: Callable[..., Any],
+    path: Path,
+    *arguments: str,
+    take: Callable[[_Worker, dict[str, Any]], _Answer],
+) -> _Answer:
     with path.open("rb"):  # the library would not give the reason
         pass
-    try:
-        return _apart(str(path), lambda worker: ask(worker, path.absolute()))
-    except CameraProtocolError as error:
-        raise DataError(error.what, hint=error.hint) from error
+    request = {"name": str(path.absolute()), "read": read.__name__, "arguments": arguments}
+    return _apart(lambda worker: take(worker, worker.ask(**request)))
 
 
-def _apart(name: str, ask: Callable[[_Worker], _Answer]) -> _Answer:
-    """Return what a free process answers about a file."""
+def _apart(ask: Callable[[_Worker], _Answer]) -> _Answer:
+    """Return what a free process answers about a file; `UnreadableError` where it gives none."""
     with _lock:
         worker = _free.pop() if _free else None
     worker = worker or _Worker.started()
     try:
         answer = ask(worker)
     except (OSError, ValueError, EOFError):
-        raise _ended(worker, name) from None
+        raise UnreadableError(_end(worker)) from None
     except (CamctlError, UnreadableError):
         _set_free(worker)
         raise
@@ -195,22 +191,24 @@ def _checked(answer: bytes) -> dict[str, Any]:
     raise _ERRORS.get(str(head["error"]), CameraProtocolError)(what, hint=hint)
 
 
-def _samples(head: dict[str, Any], shared: int, kinds: tuple[type, ...]) -> NDArray[Any]:
-    """Return samples; their numbers are checked, since a file may have taken the process over.
+def _samples(head: dict[str, Any], shared: int, kinds: str) -> NDArray[Any]:
+    """Return samples of some kinds, as answered; a file may have taken the process over.
 
     Raises:
         ValueError, EOFError: they cannot be
     """
     shape, dtype = tuple(int(side) for side in head["shape"]), np.dtype(str(head["dtype"]))
     size = int(np.prod(shape, dtype=object))
-    if dtype not in kinds or min(shape) < 1 or not 0 < size <= 3 * MAX_PIXELS:
+    if dtype.kind not in kinds or min(shape) < 1 or not 0 < size <= 3 * MAX_PIXELS:
         raise ValueError
     return _taken(shared, size, dtype, 0).reshape(shape)
 
 
 def _still(head: dict[str, Any], shared: int) -> Still:
     """Return the still of an answer; raises as `_samples` does."""
-    samples = _samples(head, shared, (np.uint8, np.uint16))
+    samples = _samples(head, shared, "u")
+    if samples.itemsize > 2:
+        raise ValueError
     invalid = None
     if head.get("has_invalid"):
         shape = samples.shape[:2]
@@ -254,21 +252,31 @@ def _colour(found: Any) -> CameraColour | None:
     return CameraColour(rows["matrix"], tuple(found["white_balance"]), rows["xyz_to_camera"])
 
 
-def _ended(worker: _Worker, name: str) -> CameraProtocolError:
-    """End a process that gives no answer; return the error for its file."""
+def _end(worker: _Worker) -> str:
+    """End a process that gives no answer; return what became of it."""
     with suppress(subprocess.TimeoutExpired):
         worker.process.wait(1.0)
     status = worker.process.poll()
     worker.end()
-    why = "its decoder ended without an answer"
-    if status is not None and status < 0:
-        took_long = status == -getattr(signal, "SIGXCPU", 0)
-        why = f"its decoder crashed ({signal.Signals(-status).name})"
-        why = "decoding it takes more than a minute" if took_long else why
-    return CameraProtocolError(f"{name} cannot be read: {why}", hint="leave it out")
+    if status is None or status >= 0:
+        return "its decoder ended without an answer"
+    if status == -getattr(signal, "SIGXCPU", 0):
+        return "decoding it takes more than a minute"
+    return f"its decoder crashed ({signal.Signals(-status).name})"
 
 
 @atexit.register
 def _end_all() -> None:
     while _free:
         _free.pop().end()
+
+
+def _forget() -> None:
+    """Leave the processes to the one that this one is a copy of: both would get the answers."""
+    global _lock
+    _lock = threading.Lock()
+    _free.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget)

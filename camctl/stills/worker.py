@@ -22,7 +22,7 @@ import numpy as np
 
 from camctl.errors import CamctlError, DataError
 from camctl.stills.decoding import read_still
-from camctl.stills.exr import exr_exposure, exr_shape, read_exr
+from camctl.stills.maps import READERS
 
 MOST_SECONDS = 60
 """Processor time for one file: the slowest of 100 megapixels takes 4 s on one core (2026-11)."""
@@ -43,8 +43,8 @@ def serve(requests: BinaryIO, answers: BinaryIO, shared: int) -> None:
 
 def _answer(shared: int, request: dict[str, Any]) -> dict[str, Any]:
     """Replace the picture file in `shared` by its samples; return what they are."""
-    if "exr" in request:
-        return _exr_answer(shared, request)
+    if "read" in request:
+        return _map_answer(shared, request)
     name = request["name"]
     try:
         still = read_still(os.pread(shared, request["bytes"], 0), name)
@@ -70,17 +70,17 @@ def _answer(shared: int, request: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _exr_answer(shared: int, request: dict[str, Any]) -> dict[str, Any]:
-    """Answer what is asked of an OpenEXR file: "shape", "exposure" or "map" (into `shared`)."""
-    path, error = Path(request["name"]), "UnreadableError"
+def _map_answer(shared: int, request: dict[str, Any]) -> dict[str, Any]:
+    """Answer what a reader of `camctl.stills.maps` finds; samples are put into `shared`."""
+    error = "UnreadableError"
     try:
-        match request["exr"]:
-            case "shape":
-                return {"shape": exr_shape(path)}
-            case "exposure":
-                return exr_exposure(path)
-        samples, notes = read_exr(path)
-        samples = np.ascontiguousarray(samples)
+        found: Any = READERS[request["read"]](Path(request["name"]), *request["arguments"])
+        if not (isinstance(found, tuple) and isinstance(found[0], np.ndarray)):
+            return {"found": found}
+        samples, notes = found
+        if samples.dtype.kind not in "biuf" or not samples.size:
+            raise ValueError("its samples are no real numbers")
+        samples = np.ascontiguousarray(samples, samples.dtype.newbyteorder("="))
         put(shared, samples.reshape(-1).view(np.uint8).data)
         return {"shape": samples.shape, "dtype": samples.dtype.name, "notes": notes}
     except DataError as found:

@@ -7,6 +7,7 @@ import os
 import resource
 import struct
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,12 @@ import pytest
 from device_readers import still_files
 
 from camctl.errors import CameraProtocolError, DataError
-from camctl.stills import separate
+from camctl.pictures.files import read_deviation, read_mask, read_radiance, read_tiff
+from camctl.sim.scenes.scene import load_scene
+from camctl.stills import maps, separate
 from camctl.stills.decoding import read_still
-from camctl.stills.exr import exr_exposure, exr_shape, read_exr
 from camctl.stills.files import read_photograph
+from camctl.stills.maps import exr_exposure, exr_shape, read_exr
 from camctl.stills.radiance_map import read_exr_exposure, read_map, read_shape
 from camctl.stills.separate import read_apart
 
@@ -134,13 +137,64 @@ def test_an_openexr_file_that_becomes_large_ends_no_process(
 
 
 @pytest.mark.parametrize("signal", [11, 24])
-def test_an_openexr_file_that_ends_its_decoder_is_one_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, signal: int
+@pytest.mark.parametrize("name", ["a.exr", "a.tiff", "radiance.exr", "sum.tiff"])
+def test_a_map_that_ends_its_decoder_is_one_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, signal: int
 ) -> None:
+    """Scenes, photographs and the files of a capture folder, which may be somebody else's."""
     program = f"import os; input(); os.kill(os.getpid(), {signal})"
     monkeypatch.setattr(separate, "_COMMAND", (sys.executable, "-c", program))
     monkeypatch.setattr(separate, "_free", [])
-    write_exr(tmp_path / "a.exr")
-    with pytest.raises(DataError, match="SIGSEGV" if signal == 11 else "more than a minute"):
-        read_map(tmp_path / "a.exr")
+    (tmp_path / name).write_bytes(b"what a decoder cannot stand")
+    reads: dict[str, list[Callable[[Path], object]]] = {
+        "radiance.exr": [read_radiance, read_mask, read_deviation],
+        "sum.tiff": [read_tiff],
+    }
+    for read in reads.get(name, [read_map, read_shape]):
+        with pytest.raises(DataError, match="SIGSEGV" if signal == 11 else "more than a minute"):
+            read(tmp_path / name)
     assert separate._free == []
+
+
+def test_hostile_tiff_maps_are_refused_at_once(tmp_path: Path) -> None:
+    import tifffile
+
+    path = tmp_path / "a.tiff"
+    tifffile.imwrite(path, np.ones((60, 70, 3), np.float32), photometric="rgb", compression="zlib")
+    whole = path.read_bytes()
+    assert np.array_equal(read_map(path)[0], maps.read_tiff(path)[0])
+    columns = whole.index(struct.pack("<HHI", 256, 4, 1)) + 8
+    rows = whole.index(struct.pack("<HHI", 257, 4, 1)) + 8
+    sizes = [(0, 0), (1 << 20, 1 << 20), (1, 1 << 31), (1 << 31, 60)]
+    hostile = [whole[:length] for length in (0, 8, 100, len(whole) // 2)]
+    for size in sizes:
+        data = bytearray(whole)
+        data[columns : columns + 4] = struct.pack("<I", size[0])
+        data[rows : rows + 4] = struct.pack("<I", size[1])
+        hostile.append(bytes(data))
+    before = peak_memory()
+    for data in hostile:
+        path.write_bytes(data)
+        with pytest.raises(DataError):
+            load_scene(path)
+        with pytest.raises(DataError):
+            read_tiff(path)
+    assert peak_memory() - before < 64 << 10
+
+
+def test_a_copy_of_the_process_asks_decoders_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "a.exr"
+    write_exr(path)
+    read_map(path)
+    (own,) = {each.process.pid for each in separate._free}
+    child = os.fork()
+    if child == 0:
+        status = 1
+        with contextlib.suppress(BaseException):
+            started = not separate._free
+            read_map(path)
+            status = 0 if started and separate._free[0].process.pid != own else 2
+            separate._end_all()
+        os._exit(status)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    assert [each.process.pid for each in separate._free] == [own]
