@@ -285,7 +285,7 @@ class AravisDevice:
         number = call("arv_buffer_get_frame_id", buffer)
         arrived_s = time.monotonic() - (age_s if 0 <= age_s < _OLDEST_S else 0.0)
         if call("arv_buffer_get_status", buffer) != _SUCCESS:
-            return Received(np.empty(0, np.uint8), (0, 0), 0, 0, number, arrived_s, False)
+            return Received(np.empty(0, np.uint8), (0, 0), 0, 0, number, arrived_s, 0.0, False)
         size, across, below = c_size_t(), c_int(), c_int()
         data = call("arv_buffer_get_data", buffer, byref(size))
         call("arv_buffer_get_image_padding", buffer, byref(across), byref(below))
@@ -299,6 +299,7 @@ class AravisDevice:
             line_padding=across.value,
             number=number,
             arrived_s=arrived_s,
+            stamp_s=call("arv_buffer_get_timestamp", buffer) / 1e9,
             is_complete=True,
             chunks=self._chunks(buffer),
         )

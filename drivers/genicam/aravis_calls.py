@@ -86,6 +86,7 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_buffer_get_data": (pointer, (pointer, POINTER(c_size_t))),
     "arv_buffer_get_frame_id": (c_uint64, (pointer,)),
     "arv_buffer_get_system_timestamp": (c_uint64, (pointer,)),
+    "arv_buffer_get_timestamp": (c_uint64, (pointer,)),
     "arv_buffer_get_image_pixel_format": (ctypes.c_uint32, (pointer,)),
     "arv_buffer_get_image_width": (c_int, (pointer,)),
     "arv_buffer_get_image_height": (c_int, (pointer,)),

@@ -90,7 +90,9 @@ class Received:
         code: its pixel format, in the numbers of the PFNC
         line_padding: bytes after each line
         number: the camera's own
-        arrived_s: when it began to arrive, on the system's monotonic clock
+        arrived_s: when it was received, on the system's monotonic clock: later than it was sent
+            where the computer is busy
+        stamp_s: the camera's own time stamp, on its own clock; 0: it states none
         is_complete: no packet of it is missing
         chunks: values of `CHUNKS` that came with it
     """
@@ -101,6 +103,7 @@ class Received:
     line_padding: int
     number: int
     arrived_s: float
+    stamp_s: float
     is_complete: bool
     chunks: Mapping[str, float] = field(default_factory=dict)
 

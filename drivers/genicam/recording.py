@@ -75,6 +75,7 @@ class RecordingDevice:
                         "bytes": int(frame.data.size),
                         "line_padding": frame.line_padding,
                         "number": frame.number,
+                        "stamp_s": frame.stamp_s,
                         "is_complete": frame.is_complete,
                         "chunks": dict(frame.chunks),
                     },

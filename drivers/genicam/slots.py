@@ -19,6 +19,10 @@ _POLL_S = 0.1
 _TRANSFER_S = 1.0
 #: Times that a trigger is sent again where no frame follows it.
 _TRIGGERS = 3
+#: Two crystals of usual quality (50 ppm each) drift apart by at most this share of the time.
+_DRIFT = 1e-4
+#: A clock that runs so many times as fast as the system's, or as slow, has not the unit it states.
+_OTHER_UNIT = 2.0
 
 
 class WritesExposures(Protocol):
@@ -146,10 +150,43 @@ class TriggeredSlots:
         return Written(applied, self._next, self._next)
 
 
+class CameraClock:
+    """When frames arrived, by the time stamps of the camera.
+
+    They are as regular as its frames, while a busy computer receives a frame some ms late.  The
+    frames that were received the least late show what lies between the two clocks.  A clock that
+    was set meanwhile, or has another unit than it states, is not used.
+    """
+
+    def __init__(self) -> None:
+        self._begin = self._last = (0.0, 0.0)  # time stamp and reception
+        self._apart_s = 0.0  # from the camera's clock to the system's
+
+    def arrival(self, stamp_s: float, received_s: float) -> float:
+        """Return when a frame arrived, s; as received where it has no time stamp (0)."""
+        if stamp_s <= 0:
+            return received_s
+        apart_s = received_s - stamp_s
+        if self._goes_on(stamp_s, received_s):
+            drift_s = _DRIFT * (received_s - self._last[1])
+            self._apart_s = min(apart_s, self._apart_s + drift_s)
+        else:
+            self._begin, self._apart_s = (stamp_s, received_s), apart_s
+        self._last = (stamp_s, received_s)
+        return stamp_s + self._apart_s
+
+    def _goes_on(self, stamp_s: float, received_s: float) -> bool:
+        passed_s, waited_s = stamp_s - self._begin[0], received_s - self._begin[1]
+        is_same_unit = waited_s / _OTHER_UNIT <= passed_s <= waited_s * _OTHER_UNIT
+        late_s = received_s - stamp_s - self._apart_s
+        return stamp_s > self._last[0] and is_same_unit and late_s <= _TRANSFER_S
+
+
 class FreeRunFrames:
     """A stream in free run; a `camctl.streaming.TimestampedSource`.
 
-    A frame is stamped when its transfer begins, after its exposure has ended.
+    A frame is stamped when its transfer begins, after its exposure has ended: by the camera's clock
+    where it has one, see `CameraClock`.
 
     Attributes:
         sequence: number of the frame that was taken last, counted on where the camera's begins anew
@@ -168,6 +205,7 @@ class FreeRunFrames:
         self._clock = clock
         self._silence_s = silence_s
         self._frame: Received | None = None
+        self._camera_clock = CameraClock()
         self.sequence = 0
         self.write = exposure.write
 
@@ -179,7 +217,7 @@ class FreeRunFrames:
         last, self._frame = self._frame, frame
         if last is not None:
             self.sequence += numbers_apart(last.number, frame.number)
-        return frame.arrived_s
+        return self._camera_clock.arrival(frame.stamp_s, frame.arrived_s)
 
     def retrieve(self) -> Received | None:
         """Return the frame that was taken last; None where packets of it are missing."""

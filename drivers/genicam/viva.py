@@ -24,7 +24,8 @@ from camctl.drivers.genicam.port import (
 from camctl.errors import CameraError, CameraNotFoundError
 
 _SEARCH_MS = 500  # of the network
-_NS_PER_S = 1e9
+#: Of a camera's clock: ns in GigE Vision 2 and USB3 Vision, while GigE Vision 1 states it.
+_TICKS_PER_S, _TICK_RATE = 1e9, "GevTimestampTickFrequency"
 #: By the first word of its names of kinds of nodes.
 _KINDS = {
     "Integer": Kind.INTEGER,
@@ -112,7 +113,7 @@ class VivaDevice:
         self._name = name
         self._stream: Any = None
         self._missing = self._resent = 0
-        self._offset_s: float | None = None  # from the device's clock to the system's
+        self._ticks_per_s = _TICKS_PER_S
 
     # ---- features
 
@@ -187,6 +188,8 @@ class VivaDevice:
     # ---- frames
 
     def start(self, buffers: int) -> None:
+        if self.kind(_TICK_RATE) is Kind.INTEGER:
+            self._ticks_per_s = float(self.read(_TICK_RATE)) or _TICKS_PER_S
         with self._errors("a stream"):
             self._stream = self._camera.stream(deliver_incomplete=True)
             self._stream.__enter__()
@@ -215,7 +218,8 @@ class VivaDevice:
             code=frame.pixel_format_code,
             line_padding=frame.padding_x,
             number=frame.block_id,
-            arrived_s=self._arrival(frame.ts_dev),
+            arrived_s=time.monotonic(),
+            stamp_s=(frame.ts_dev or 0) / self._ticks_per_s,
             is_complete=is_complete,
             chunks=self._chunks(frame) if is_complete else {},
         )
@@ -235,20 +239,6 @@ class VivaDevice:
         found = stream.stats()
         missing = self._missing + found.packets_missing
         return missing, self._resent + found.resend_recovered
-
-    def _arrival(self, ticks: int | None) -> float:
-        """Return when a frame arrived, s.
-
-        It may have waited in the library since.  By the camera's own clock, which counts ns in GigE
-        Vision 2 and USB3 Vision, the frames that waited the least show the offset of that clock.
-        """
-        now_s = time.monotonic()
-        if not ticks:
-            return now_s
-        offset_s = now_s - ticks / _NS_PER_S
-        if self._offset_s is None or offset_s < self._offset_s:
-            self._offset_s = offset_s
-        return ticks / _NS_PER_S + self._offset_s
 
     def _chunks(self, frame: Any) -> dict[str, float]:
         if not frame.chunks:

@@ -43,7 +43,6 @@ _BOOTSTRAP_BYTES = 0xB000
 _CAPABILITY = 1 << 31 | 1 << 30 | 1 << 2 | 1 << 1 | 1  # name, serial, resend, memory, several
 _PACKET_SIZE, _STREAM_PORT, _STREAM_IP = 0xD04, 0xD00, 0xD18
 _FIRE_TEST = 1 << 31
-_TICKS_PER_S = 1_000_000_000
 _POLL_S = 0.02  # how often a wait for a trigger looks whether the acquisition has ended
 _GAMMA = 0.45  # of the picture where gamma is on
 _FLICKER, _FLICKER_FRAMES = 0.2, 9.0  # light under automatic exposure or gain, and its period
@@ -138,6 +137,7 @@ class GigeCamera(Controllable):
             "GainAuto": automatic,
             "GammaEnable": int(self.config.automatic),
             "BlackLevel": self._sensor.black,
+            "GevTimestampTickFrequency": self.config.ticks_per_s,
         }
         self._chunks_on = set()
 
@@ -410,9 +410,9 @@ class GigeCamera(Controllable):
             each for each in self._formats.values() if each.code == self._values["PixelFormat"]
         )
         image = pack(self._developed(pixels), form, self._sensor.model.bits)
-        time_ns = round(end_s * _TICKS_PER_S)
-        chunks = self._chunk_data(active, time_ns)
-        stream.send(FramePacket(self._block, time_ns, form.code, self._sensor.shape, image, chunks))
+        ticks = round(end_s * self.config.ticks_per_s)
+        chunks = self._chunk_data(active, ticks)
+        stream.send(FramePacket(self._block, ticks, form.code, self._sensor.shape, image, chunks))
 
     def _automatic_light(self, slot: int) -> float:
         is_automatic = self._values["ExposureAuto"] or self._values["GainAuto"]
@@ -430,12 +430,12 @@ class GigeCamera(Controllable):
             pixels = np.rint(top * (pixels / top) ** _GAMMA).astype(pixels.dtype)
         return pixels
 
-    def _chunk_data(self, active: int, time_ns: int) -> dict[int, bytes]:
+    def _chunk_data(self, active: int, ticks: int) -> dict[int, bytes]:
         stated = self._stated[0]
         every = {
             "ExposureTime": struct.pack(">d", stated.time_us),
             "Gain": struct.pack(">d", stated.gain_db),
-            "Timestamp": struct.pack(">Q", time_ns),
+            "Timestamp": struct.pack(">Q", ticks),
             "FrameID": struct.pack(">Q", self._block),
             "SequencerSetActive": struct.pack(">Q", active),
         }
@@ -463,7 +463,7 @@ class GigeCamera(Controllable):
             0x904: 1,
             0x934: _CAPABILITY,
             0x93C: 0,
-            0x940: _TICKS_PER_S,
+            0x940: config.ticks_per_s,
             _PACKET_SIZE: 1440,
         }
         for address, word in words.items():

@@ -28,6 +28,7 @@ class GigeConfig(DeviceConfig):
         resend: lost packets are sent again when asked
         refused: features that cannot be written
         time_step_us: exposure times are rounded to this silently, us
+        ticks_per_s: of its time stamps; 0: it has none
         automatic: after power-on exposure, gain and gamma change the picture by themselves
     """
 
@@ -46,4 +47,5 @@ class GigeConfig(DeviceConfig):
     resend: bool = True
     refused: Annotated[tuple[str, ...], BeforeValidator(as_tuple)] = ()
     time_step_us: float = Field(default=1.0, gt=0, le=1000)
+    ticks_per_s: int = Field(default=1_000_000_000, ge=0, le=2_000_000_000)
     automatic: bool = True

@@ -157,6 +157,7 @@ def camera_features(
         Feature("PixelFormat", choice, image, entries=codes),
         Feature("PayloadSize", number, "TransportLayerControl", is_read_only=True),
         Feature("TLParamsLocked", number, "TransportLayerControl", 0, 1),
+        Feature("GevTimestampTickFrequency", number, "TransportLayerControl", is_read_only=True),
         Feature("AcquisitionMode", choice, acquisition, entries={"Continuous": 0}),
         Feature("AcquisitionStart", Kind.COMMAND, acquisition),
         Feature("AcquisitionStop", Kind.COMMAND, acquisition),

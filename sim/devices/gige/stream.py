@@ -30,7 +30,7 @@ class FramePacket:
 
     Attributes:
         block: its number, 1 to 65535
-        time_ns: its time stamp
+        ticks: its time stamp
         code: its pixel format
         shape: (rows, columns)
         image: its bytes
@@ -38,7 +38,7 @@ class FramePacket:
     """
 
     block: int
-    time_ns: int
+    ticks: int
     code: int
     shape: tuple[int, int]
     image: bytes
@@ -133,7 +133,7 @@ class StreamChannel:
         kind = _IMAGE_WITH_CHUNKS if frame.chunks else _IMAGE
         rows, columns = frame.shape
         leader = struct.pack(
-            ">HHQIIIIIHH", 0, kind, frame.time_ns, frame.code, columns, rows, 0, 0, 0, 0
+            ">HHQIIIIIHH", 0, kind, frame.ticks, frame.code, columns, rows, 0, 0, 0, 0
         )
         data, trailer = frame.image, struct.pack(">HHI", 0, kind, rows)
         if frame.chunks:

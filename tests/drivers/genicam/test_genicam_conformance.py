@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
 
 import pytest
 from gige_bench import LEVELS, found, installed, virtual_camera
@@ -87,19 +86,7 @@ class TestFreeRunWithTheRunningFrame(GenicamConformance):
     options = {"trigger": "off", "fps": "15"}  # noqa: RUF012
 
     def test_constant_delay_costs_n_plus_d_frames(self, camera: Camera) -> None:
-        """By the camera's own numbers; a busy computer stamps a frame too late now and then."""
+        """By the camera's own numbers."""
         wanted = self.times(camera, [1, 0.5, 1, 0.5, 1, 0.5])
-        sequences = [self.shoot(camera, wanted) for _ in range(5)]
-        numbers = [[frame.details["frame_id"] for frame in each] for each in sequences]
-        assert any(each == list(range(each[0], each[0] + len(wanted))) for each in numbers)
-
-    def test_long_exposures_last_as_long_as_they_state(self, camera: Camera) -> None:
-        """A frame is received up to 5 ms late: two of three differences are then 1.7 ms too short.
-
-        One that is cut short would be so each time.
-        """
-        for _ in range(5):
-            with suppress(AssertionError):
-                super().test_long_exposures_last_as_long_as_they_state(camera)
-                return
-        super().test_long_exposures_last_as_long_as_they_state(camera)
+        numbers = [frame.details["frame_id"] for frame in self.shoot(camera, wanted)]
+        assert numbers == list(range(numbers[0], numbers[0] + len(wanted)))

@@ -25,7 +25,7 @@ PACKED = [
 
 
 def received(data: bytes, padding: int = 0) -> Received:
-    return Received(np.frombuffer(data, np.uint8), SHAPE, 0, padding, 1, 0.0, True)
+    return Received(np.frombuffer(data, np.uint8), SHAPE, 0, padding, 1, 0.0, 0.0, True)
 
 
 @pytest.mark.parametrize(("layout", "bits", "name"), PACKED)
@@ -56,7 +56,7 @@ def test_published_bytes() -> None:
         ("Mono12Packed", b"\x12\xc3\xab"),
     ):
         form = BY_NAME[name]
-        one = Received(np.frombuffer(data, np.uint8), (1, 2), form.code, 0, 1, 0.0, True)
+        one = Received(np.frombuffer(data, np.uint8), (1, 2), form.code, 0, 1, 0.0, 0.0, True)
         samples = form.samples(one)
         assert samples is not None
         assert samples.tolist() == [expected]
