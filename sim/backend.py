@@ -71,7 +71,7 @@ class SimulatedBackend:
         if isinstance(scene, str):
             scene = load_scene(scene, chosen.size, usual=sensor.shape)
         else:
-            check_shape(scene.name, scene.irradiance.shape, chosen.size)
+            check_shape(scene.name, scene.shape, chosen.size)
         clock: Clock = RealClock() if chosen.time == "real" else VirtualClock()
         return SimulatedCamera(
             scene,

@@ -201,7 +201,7 @@ class Renderer:
             return
         charge = np.empty(light.size, np.float32)
         self._run_tiles(shot, light, (collect,), charge)
-        picture = charge.reshape(self._view.planes().shape[:2] + self._view.light.shape[2:])
+        picture = charge.reshape(np.atleast_2d(self._view.light).shape)
         for change in across_tiles:
             picture = change(picture, shot)
         self._run_tiles(shot, light, (read,), picture.reshape(-1))

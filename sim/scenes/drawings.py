@@ -1,18 +1,20 @@
 """Drawings of the built-in scenes, at any size; their brightest diffuse part has irradiance 1.
 
-Each returns irradiance in float32, (rows, columns) or, in colour, (rows, columns, 3).  The numbers
-in a drawing have no meaning beyond how it looks.
+Each returns some rows, `part`, of a picture of (rows, columns): irradiance, (rows, columns) or, in
+colour, (rows, columns, 3).  The numbers in a drawing have no meaning beyond how it looks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, MutableMapping
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.model.response.camera import srgb_to_linear
-from camctl.sim.scenes.charts import grey_steps, outdoor_sun, slanted_edge
+from camctl.sim.scenes.charts import ALL, grey_steps, outdoor_sun, slanted_edge
 from camctl.sim.scenes.night import night_street, stars
 
 Light = NDArray[np.float32]
@@ -28,10 +30,10 @@ _PATCH_GAP = 0.11  # share of a patch's side
 _CHART_FRAME = 0.03  # irradiance
 
 
-def _grid(rows: int, columns: int) -> tuple[Light, Light]:
-    """Return x (columns,) and y (rows, 1) of the pixels' centres, 0 to 1 from the top left."""
+def _grid(rows: int, columns: int, part: slice) -> tuple[Light, Light]:
+    """Return x (columns,) and y (rows of `part`, 1) of the pixels' centres, 0 to 1."""
     x = (np.arange(columns, dtype=np.float32) + 0.5) / columns
-    y = (np.arange(rows, dtype=np.float32)[:, np.newaxis] + 0.5) / rows
+    y = (np.arange(rows, dtype=np.float32)[part, np.newaxis] + 0.5) / rows
     return x.astype(np.float32), y.astype(np.float32)
 
 
@@ -51,22 +53,23 @@ def _waves(u: Light, v: Light, seed: int, count: int, low: float, high: float) -
     return total
 
 
-def uniform(rows: int, columns: int) -> Light:
+def uniform(rows: int, columns: int, part: slice = ALL) -> Light:
     """Return the same light everywhere, like an integrating sphere."""
-    return np.ones((rows, columns), dtype=np.float32)
+    return np.ones((len(range(rows)[part]), columns), dtype=np.float32)
 
 
-def ramp(rows: int, columns: int) -> Light:
+def ramp(rows: int, columns: int, part: slice = ALL) -> Light:
     """Return light that grows linearly from 0 at the left to 1 at the right (paper, figure 6)."""
-    x, y = _grid(rows, columns)
-    return np.ascontiguousarray(np.broadcast_to(x, (rows, columns))) + 0 * y
+    x, y = _grid(rows, columns, part)
+    return np.asarray(x + 0 * y)
 
 
-def cloth(rows: int, columns: int) -> Light:
+def cloth(rows: int, columns: int, part: slice = ALL) -> Light:
     """Return a white cloth in soft folds under light from the upper left (paper, figure 7)."""
     aspect = np.float32(columns / rows)
     # One more pixel on each side, for the slopes.
-    x, y = _grid(rows + 2, columns + 2)
+    first, last, _ = part.indices(rows)
+    x, y = _grid(rows + 2, columns + 2, slice(first, last + 2))
     u = (x * np.float32(columns + 2) - 1) / np.float32(columns) * aspect
     v = (y * np.float32(rows + 2) - 1) / np.float32(rows)
     # Nearly vertical folds, slightly bent, deeper towards the bottom.
@@ -88,15 +91,15 @@ def cloth(rows: int, columns: int) -> Light:
     weave = 1 + 0.012 * np.sin(u * 900) * np.sin(v * 900)
     drop = np.exp(-1.1 * ((u - 0.25) ** 2 + (v - 0.15) ** 2))
     picture = (np.maximum(shade, 0) * drop + ambient) * weave
-    return np.asarray(picture / picture.max(), dtype=np.float32)
+    return np.asarray(picture, dtype=np.float32)
 
 
-def tile_floor(rows: int, columns: int) -> Light:
+def tile_floor(rows: int, columns: int, part: slice = ALL) -> Light:
     """Return a tile floor with a strong gradient of light (paper, figure 9).
 
     The light decreases by 1:3,000 from the near left corner to the far right one.
     """
-    x, y = _grid(rows, columns)
+    x, y = _grid(rows, columns, part)
     aspect = np.float32(columns / rows)
     # Seen from a height of one unit, with the horizon just above the picture.
     depth = np.float32(1.55) / (y + np.float32(0.28))
@@ -120,13 +123,12 @@ def tile_floor(rows: int, columns: int) -> Light:
     away = np.hypot((x - np.float32(0.02)) * aspect, np.float32(1.02) - y)
     away = away / np.hypot(aspect, np.float32(1.02))
     fall = np.exp(-np.float32(np.log(3000.0)) * away)
-    light = reflect * fall
-    return np.asarray(light / light.max(), dtype=np.float32)
+    return np.asarray(reflect * fall, dtype=np.float32)
 
 
-def ball(rows: int, columns: int) -> Light:
+def ball(rows: int, columns: int, part: slice = ALL) -> Light:
     """Return a matte ball with a highlight on a dark table, RGB (paper, figures 1 and 10)."""
-    x, y = _grid(rows, columns)
+    x, y = _grid(rows, columns, part)
     aspect = np.float32(columns / rows)
     u, v = (x - np.float32(0.5)) * aspect, y - np.float32(0.47)
     radius = np.float32(0.33)
@@ -151,7 +153,7 @@ def ball(rows: int, columns: int) -> Light:
     shadow = 1 - np.float32(0.93) * np.exp(-(((shadow_u**2 + shadow_v**2) / np.float32(0.09)) ** 2))
     grain = 1 + np.float32(0.08) * _waves(u * 2, v * 34, 5, 10, 1.0, 9.0)
     table = (np.float32(0.004) + on_table * np.float32(0.16) * far * pool * shadow) * grain
-    picture = np.empty((rows, columns, 3), dtype=np.float32)
+    picture = np.empty((*y.shape[:1], columns, 3), dtype=np.float32)
     colours = ((0.80, 0.46, 1.0), (0.36, 0.40, 1.0), (0.20, 0.34, 0.95))
     for channel, (matte, wood, lamp) in enumerate(colours):
         shaded = (lambert * np.float32(matte * 0.85) + bounce * np.float32(matte)) * speckle
@@ -161,9 +163,9 @@ def ball(rows: int, columns: int) -> Light:
     return picture
 
 
-def room(rows: int, columns: int) -> Light:
+def room(rows: int, columns: int, part: slice = ALL) -> Light:
     """Return a dim room with a bright window, RGB; its dynamic range is above 1:20,000."""
-    x, y = _grid(rows, columns)
+    x, y = _grid(rows, columns, part)
     aspect = np.float32(columns / rows)
     u, v = x * aspect, y + 0 * x
     u = u + 0 * y
@@ -197,7 +199,7 @@ def room(rows: int, columns: int) -> Light:
     )
     floor = np.float32(0.55) + 0.2 * np.sin(np.floor(patch_u / aspect * 34) * 5.3)
     floor = floor * np.where(plank > 0.05, np.float32(1), np.float32(0.2))
-    picture = np.empty((rows, columns, 3), dtype=np.float32)
+    picture = np.empty((*y.shape[:1], columns, 3), dtype=np.float32)
     hues = ((0.86, 0.52, 1.0), (0.80, 0.33, 0.98), (0.68, 0.20, 1.05))
     for channel, (wall, wood, sky) in enumerate(hues):
         surface = np.where(is_floor, floor * wood, np.where(is_ceiling, wall * 0.9, wall * 0.6))
@@ -245,9 +247,9 @@ def _patches() -> Light:
     return srgb_to_linear(code).astype(np.float32)
 
 
-def colour_chart(rows: int, columns: int) -> Light:
+def colour_chart(rows: int, columns: int, part: slice = ALL) -> Light:
     """Return a colour chart in a black frame under even light, RGB."""
-    y = (np.arange(rows) + 0.5) / rows * 4
+    y = (np.arange(rows)[part] + 0.5) / rows * 4
     x = (np.arange(columns) + 0.5) / columns * 6
     inside_y = np.abs(y % 1 - 0.5) < 0.5 - _PATCH_GAP / 2
     inside_x = np.abs(x % 1 - 0.5) < 0.5 - _PATCH_GAP / 2
@@ -256,10 +258,10 @@ def colour_chart(rows: int, columns: int) -> Light:
     return np.where(inside, picture, np.float32(_CHART_FRAME))
 
 
-def wall(rows: int, columns: int) -> Light:
+def wall(rows: int, columns: int, part: slice = ALL) -> Light:
     """Return a brick wall in soft light from the left."""
     x = (np.arange(columns, dtype=np.float32) + 0.5) / columns
-    y = (np.arange(rows, dtype=np.float32)[:, None] + 0.5) / rows
+    y = (np.arange(rows, dtype=np.float32)[part, None] + 0.5) / rows
     course = np.floor(y * 16)
     along = x * 9 * columns / rows / 1.33 + 0.5 * (course % 2)
     brick = np.floor(along)
@@ -288,7 +290,7 @@ def wheel(height: int) -> tuple[Light, Light]:
     return light.astype(np.float32), cover.astype(np.float32)
 
 
-DRAWINGS: MutableMapping[str, Callable[[int, int], Light]] = {
+DRAWINGS: MutableMapping[str, Callable[..., Light]] = {
     "ball": ball,
     "cloth": cloth,
     "colour-chart": colour_chart,
@@ -303,3 +305,58 @@ DRAWINGS: MutableMapping[str, Callable[[int, int], Light]] = {
     "uniform": uniform,
     "wall": wall,
 }
+
+_RELATIVE = frozenset(("cloth", "tile-floor"))
+"""Drawings in grey whose brightest pixel has irradiance 1: known when all of it is drawn."""
+
+_STRIP_SAMPLES = 1 << 16
+"""Pixels of a strip: the arrays from which it is drawn fit into a processor's cache."""
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """The picture of a scene, drawn in strips when it is needed.
+
+    Attributes:
+        name: in `DRAWINGS`
+        rows, columns: its size
+        brightest: irradiance of its brightest diffuse part
+    """
+
+    name: str
+    rows: int
+    columns: int
+    brightest: float
+
+    @cached_property
+    def shape(self) -> tuple[int, ...]:
+        """(rows, columns) or (rows, columns, 3)."""
+        line = DRAWINGS[self.name](self.rows, self.columns, slice(0, 1))
+        return (self.rows, *line.shape[1:])
+
+    def at(self, rows: int, columns: int) -> Drawing:
+        """Return the same drawing at another size."""
+        return replace(self, rows=rows, columns=columns)
+
+    def drawn(self, convert: Callable[[Light], Light] = lambda strip: strip) -> Light:
+        """Return the irradiance in float32, each strip of it as `convert` changes it.
+
+        A strip begins at an even row; what `convert` makes of a grey one is proportional to it.
+        """
+        height = max(2, _STRIP_SAMPLES // self.columns & ~1)
+        factor, is_relative = np.float32(self.brightest), self.name in _RELATIVE
+        picture: Light | None = None
+        for top in range(0, self.rows, height):
+            part = slice(top, min(top + height, self.rows))
+            strip = DRAWINGS[self.name](self.rows, self.columns, part)
+            if not is_relative:
+                strip *= factor
+            strip = convert(strip)
+            if picture is None:
+                picture = np.empty((self.rows, *strip.shape[1:]), np.float32)
+            picture[part] = strip
+        assert picture is not None  # it has rows
+        if is_relative:
+            picture /= picture.max()
+            picture *= factor
+        return picture

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.sim.scenes.charts import ALL
+
 Light = NDArray[np.float32]
 
 # Colours of light, R, G, B, the strongest 1; chosen by eye.
@@ -18,11 +20,11 @@ _FARTHEST = 60.0
 _LAMP_PLACES = [(side * 0.74, z) for z in (1.35, 2.1, 3.3, 5.2, 8.2) for side in (-1, 1)]
 
 
-def night_street(rows: int, columns: int) -> Light:
+def night_street(rows: int, columns: int, part: slice = ALL) -> Light:
     """Return a wet street at night, RGB: a wall close to a lamp has 1, the lamps have 2,500."""
     aspect = columns / rows
     across = ((np.arange(columns) + 0.5) / columns - 0.5) * aspect
-    down = (np.arange(rows)[:, None] + 0.5) / rows - 0.52
+    down = (np.arange(rows)[part, None] + 0.5) / rows - 0.52
     x, y = (a.astype(np.float32) for a in np.broadcast_arrays(across, down))
     # The line of sight ends on the ground, on a wall beside the street, or in the sky.
     with np.errstate(divide="ignore"):
@@ -35,7 +37,7 @@ def night_street(rows: int, columns: int) -> Light:
         at_y < -_ROOF_HEIGHT - 0.25 * np.sin(np.floor(z * 0.9) * 5.7 + np.sign(x))
     )
     is_sky |= z >= _FARTHEST
-    lit = np.zeros((rows, columns), dtype=np.float32)
+    lit = np.zeros(z.shape, dtype=np.float32)
     for lamp_x, lamp_z in _LAMP_PLACES:
         off = (at_x - lamp_x) ** 2 + (at_y + _LAMP_HEIGHT) ** 2 + (z - lamp_z) ** 2
         lit += 0.10 / (off + 0.06)
@@ -74,12 +76,12 @@ def _draw_lamp(picture: Light, x: Light, y: Light, lamp_x: float, z: float, rows
     picture += bulb[..., None] * (np.float32(_LAMP_LIGHT) * _SODIUM)
 
 
-def stars(rows: int, columns: int) -> Light:
+def stars(rows: int, columns: int, part: slice = ALL) -> Light:
     """Return a starry sky: the dark sky has 0.2, each star is a point of up to 20,000."""
     random = np.random.Generator(np.random.PCG64(7))
     aspect = columns / rows
     x = (np.arange(columns, dtype=np.float32) + 0.5) / columns * np.float32(aspect)
-    y = (np.arange(rows, dtype=np.float32)[:, None] + 0.5) / rows
+    y = (np.arange(rows, dtype=np.float32)[part, None] + 0.5) / rows
     band = (x * 0.45 + y - 0.75) / 0.16
     lane = (x * 0.45 + y - 0.73 + 0.03 * np.sin(x * 9)) / 0.035
     clouds = 1 + 0.25 * np.sin(x * 13 + 4 * y) * np.sin(y * 17 - 5 * x)
@@ -96,6 +98,7 @@ def stars(rows: int, columns: int) -> Light:
     row, column = at_y * rows - 0.5, at_x * columns - 0.5
     top, left = np.floor(row).astype(int), np.floor(column).astype(int)
     down, right = row - top, column - left
+    first, last, _ = part.indices(rows)
     for i, j, share in (
         (0, 0, (1 - down) * (1 - right)),
         (0, 1, (1 - down) * right),
@@ -103,5 +106,7 @@ def stars(rows: int, columns: int) -> Light:
         (1, 1, down * right),
     ):
         r, c = np.clip(top + i, 0, rows - 1), np.clip(left + j, 0, columns - 1)
-        np.add.at(sky, (r, c), (share * per_pixel).astype(np.float32))
+        here = (r >= first) & (r < last)
+        light = (share * per_pixel).astype(np.float32)
+        np.add.at(sky, (r[here] - first, c[here]), light[here])
     return np.asarray(sky, dtype=np.float32)

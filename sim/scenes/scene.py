@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -23,7 +24,7 @@ from camctl.sim.data_files import (
     read_file,
     read_text,
 )
-from camctl.sim.scenes.drawings import DRAWINGS, wheel
+from camctl.sim.scenes.drawings import DRAWINGS, Drawing, wheel
 from camctl.sim.scenes.motion import Lamps, PwmLamps, Target
 from camctl.stills.radiance_map import SUFFIXES, read_map, read_shape
 from camctl.system.input_files import exists
@@ -39,7 +40,8 @@ built-in scenes has, about as white paper in 1,500 lux: the standard sensor, at 
 3.45 um, sees a million photons a pixel a second, and is filled by them in 20 ms."""
 
 _HIGHLIGHT_QUANTILE = 0.999  # of a map's positive irradiance
-_DRAWING_BYTES_PER_PIXEL = 112  # scene and working arrays together, for the most costly drawing
+_DRAWING_BYTES_PER_PIXEL = 40  # a drawing in colour, in front of a mosaic and on it, in float32
+_CHECKED_SHAPE = (48, 64)  # of a drawing whose brightness is checked
 _READING_BYTES_PER_PIXEL = 48  # likewise, for a map that is read
 
 
@@ -49,7 +51,8 @@ class Scene:
 
     Attributes:
         name: of the scene
-        irradiance: (rows, columns) or (rows, columns, 3) linear RGB, float32, finite, >= 0
+        picture: irradiance, (rows, columns) or (rows, columns, 3) linear RGB, float32, finite,
+            >= 0; or a drawing of it
         unit: `PHOTONS` or `LUMINANCE` for an absolute scene, `RELATIVE` for a radiance map
         photons_per_unit: photons a pixel a second for one unit of irradiance; unless the unit is
             `PHOTONS`, it is in cd/m^2, and `Sensor.photons_per_candela` multiplies it
@@ -63,7 +66,7 @@ class Scene:
     """
 
     name: str
-    irradiance: NDArray[np.float32]
+    picture: NDArray[np.float32] | Drawing
     unit: str = PHOTONS
     photons_per_unit: float = 1.0
     notes: tuple[str, ...] = ()
@@ -71,7 +74,10 @@ class Scene:
     target: Target | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "irradiance", _checked(self.name, np.asarray(self.irradiance)))
+        if isinstance(self.picture, Drawing):
+            _checked(self.name, self.picture.at(*_CHECKED_SHAPE).drawn())
+        else:
+            object.__setattr__(self, "picture", _checked(self.name, np.asarray(self.picture)))
         if not (math.isfinite(self.photons_per_unit) and self.photons_per_unit > 0):
             raise DataError(
                 f"scene {self.name}: invalid photons_per_unit {self.photons_per_unit}",
@@ -80,11 +86,16 @@ class Scene:
 
     @property
     def shape(self) -> tuple[int, int]:
-        return self.irradiance.shape[0], self.irradiance.shape[1]
+        return self.picture.shape[0], self.picture.shape[1]
 
     @property
     def is_coloured(self) -> bool:
-        return self.irradiance.ndim == 3
+        return len(self.picture.shape) == 3
+
+    @cached_property
+    def irradiance(self) -> NDArray[np.float32]:
+        """Irradiance, (rows, columns) or (rows, columns, 3); a drawing is drawn and kept."""
+        return self.picture.drawn() if isinstance(self.picture, Drawing) else self.picture
 
 
 def _checked(name: str, values: NDArray[np.generic]) -> NDArray[np.float32]:
@@ -276,25 +287,26 @@ def _from_file(
     unit = PHOTONS if file.luminance_cd_m2 is None else LUMINANCE
     brightest = file.photons_s or file.luminance_cd_m2 or 1.0
     notes: tuple[str, ...] = ()
+    picture: NDArray[np.float32] | Drawing
     if folder is not None and _is_map(file.picture):
         map_ = _from_map(folder / file.picture, shape)
-        light, notes = map_.irradiance, map_.notes
-        light = light * np.float32(map_.photons_per_unit / HIGHLIGHT_CD_M2)
+        picture, notes = map_.irradiance, map_.notes
+        picture = picture * np.float32(map_.photons_per_unit / HIGHLIGHT_CD_M2)
+        picture *= np.float32(brightest)
     elif file.picture in DRAWINGS:
         rows, columns = shape or file.shape or usual
         if rows < 1 or columns < 1:
             raise UsageError(f"invalid scene size {columns}x{rows}", hint="both must be 1 or more")
         _check_memory(source, (rows, columns), _DRAWING_BYTES_PER_PIXEL)
-        light = DRAWINGS[file.picture](rows, columns)
+        picture = Drawing(file.picture, rows, columns, brightest)
     else:
         raise DataError(f"{source}: picture: {unknown_name('drawing', file.picture, DRAWINGS)}")
-    light *= np.float32(brightest)
     target = None
     if file.target is not None:
-        target = file.target.target(*light.shape[:2])
+        target = file.target.target(*picture.shape[:2])
         target = target.scaled(target.light * np.float32(brightest))
     lamps = None if file.lamps is None else file.lamps.lamps()
-    return Scene(file.name, light, unit, notes=notes, lamps=lamps, target=target)
+    return Scene(file.name, picture, unit, notes=notes, lamps=lamps, target=target)
 
 
 def _from_map(path: Path, shape: tuple[int, int] | None) -> Scene:

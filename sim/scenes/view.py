@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.interface.controls import Layout
+from camctl.sim.scenes.drawings import Drawing
 from camctl.sim.scenes.motion import Lamps, PwmLamps, Target
 from camctl.sim.scenes.scene import PHOTONS, Scene
 from camctl.sim.sensors.sensor import Sensor
@@ -51,13 +52,13 @@ def _sensor_colours(light: Light, layout: Layout, sensor: Sensor) -> Light:
     return light
 
 
-def _photons_s(light: Light, scale: float) -> Light:
-    """Return ``light * scale``, limited to what no float32 overflows with."""
+def _photons_s(light: Light, scale: float, out: Light | None = None) -> Light:
+    """Return ``light * scale``, limited to what no float32 overflows with; `out`: where to."""
     if scale > float(_MOST_PHOTONS_S):  # may be beyond float32 itself
         product = light * np.float64(scale)
         return np.minimum(product, float(_MOST_PHOTONS_S)).astype(np.float32)
     with np.errstate(over="ignore"):
-        photons = np.ascontiguousarray(light * np.float32(scale))
+        photons: Light = np.ascontiguousarray(np.multiply(light, np.float32(scale), out=out))
     return np.minimum(photons, _MOST_PHOTONS_S, out=photons)
 
 
@@ -109,10 +110,19 @@ class View:
         scene is the same in each.
         """
         layout = sensor.layout_for(scene.is_coloured)
-        light = sample(_sensor_colours(scene.irradiance, layout, sensor), layout)
+
+        def sampled(light: Light) -> Light:
+            return sample(_sensor_colours(light, layout, sensor), layout)
+
+        # The light in front of a mosaic is needed later; of another drawing only what is seen.
+        drawing, scale = scene.picture, photons_per_unit(scene, sensor)
+        if isinstance(drawing, Drawing) and not (layout.is_mosaic and scene.is_coloured):
+            light = drawing.drawn(sampled)
+            light = _photons_s(light, scale, out=light)
+        else:
+            light = _photons_s(sampled(scene.irradiance), scale)
         if light.ndim == 2 and layout is Layout.RGB:
             light = np.repeat(light[..., np.newaxis], 3, axis=2)
-        light = _photons_s(light, photons_per_unit(scene, sensor))
         return cls(light, layout, (scene, sensor))
 
     @property

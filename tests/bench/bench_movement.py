@@ -133,8 +133,8 @@ def squares_in(
     """Return what is found of changes of the light in each of three frames of one scene."""
     sensor = load_sensor(sensor_name)
     light = scene.irradiance if scene.irradiance.ndim == 2 else scene.irradiance @ LUMINANCE
-    scene = replace(scene, irradiance=light)
-    moving = replace(scene, irradiance=light * changes)
+    scene = replace(scene, picture=light)
+    moving = replace(scene, picture=light * changes)
     total = NOTHING
     still = changes == 1
     rest = cv2.erode(still.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0

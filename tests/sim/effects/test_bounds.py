@@ -190,7 +190,7 @@ def where_rounding_matters(
     """Return the scene with nearly uniform light, before the sensor with photons counted."""
     if random.random() < 0.6:
         differs = 1e-5 * random.random(scene.irradiance.shape) * random.integers(2)
-        scene = replace(scene, irradiance=(0.5 + differs).astype(np.float32))
+        scene = replace(scene, picture=(0.5 + differs).astype(np.float32))
     fields = sensor.model_dump()
     fields["photon_noise"] = True
     fields["read_noise_e"] = float(random.choice([0.0, 0.27, 1.0, 2.4]))

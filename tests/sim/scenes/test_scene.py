@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from camctl.errors import DataError, UsageError
-from camctl.sim.scenes.drawings import DRAWINGS
+from camctl.interface.controls import Layout
+from camctl.sim.scenes.drawings import DRAWINGS, Drawing
 from camctl.sim.scenes.scene import (
     HIGHLIGHT_CD_M2,
     LUMINANCE,
@@ -156,10 +158,33 @@ def test_a_size_without_pixels_is_refused(shape: tuple[int, int]) -> None:
         load_scene("ramp", shape)
 
 
+@pytest.mark.parametrize("name", DRAWINGS)
+def test_strips_of_a_drawing_are_the_whole_drawing(name: str) -> None:
+    rows, columns = 203, 700  # three strips, the last one of other height
+    whole = np.float32(7) * DRAWINGS[name](rows, columns)
+    drawn = Drawing(name, rows, columns, 7.0).drawn()
+    assert drawn.shape == whole.shape
+    relative = whole / whole.max() * drawn.max()  # some drawings are scaled by their brightest part
+    assert np.array_equal(drawn, whole) or np.allclose(drawn, relative, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["tile-floor", "room"])
+def test_a_drawn_scene_takes_little_more_memory_than_the_light_on_a_grey_sensor(name: str) -> None:
+    sensor = load_sensor("standard").model_copy(update={"layout": Layout.MONO})
+    load_scene(name, (2, 2))  # what is loaded once does not count
+    tracemalloc.start()
+    try:
+        view = View.of(load_scene(name, (1500, 2000)), sensor)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert view.light.nbytes < most < view.light.nbytes + 10_000_000
+
+
 def test_a_scene_larger_than_memory_is_refused_before_it_is_drawn(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def must_not_run(rows: int, columns: int) -> NDArray[np.float32]:
+    def must_not_run(rows: int, columns: int, part: slice) -> NDArray[np.float32]:
         raise AssertionError("drawn")
 
     monkeypatch.setitem(DRAWINGS, "ramp", must_not_run)
