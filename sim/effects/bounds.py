@@ -232,7 +232,8 @@ class Bounds:
         Without `moves_streaks` it is the bound where no charge overflows: blooming adds nothing.
         """
         sensor, changes = self.shot.sensor, self.changes
-        gone = [changes[name] for name in left_out if name in changes]
+        # In the order of the effects: a set's order, and so a sum's last bit, varies by process.
+        gone = [change for name, change in changes.items() if name in left_out]
         stay = [change for name, change in changes.items() if name not in left_out]
         if not moves_streaks:
             stay = [replace(change, spreads=0.0) for change in stay]

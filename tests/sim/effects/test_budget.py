@@ -75,6 +75,15 @@ def test_the_greedy_choice_loses_little_against_trying_every_set() -> None:
     assert max(losses) < 0.25
 
 
+def test_a_joint_bound_does_not_depend_on_the_order_of_the_effects() -> None:
+    """Effects left out are a set, whose order differs from process to process."""
+    bounds = Bounds(a_shot("room", "complete", 0.01, (32, 48)))
+    left_out = greedy(bounds, 0.5)
+    assert len(left_out) > 4
+    orders = itertools.islice(itertools.permutations(left_out), 0, 5000, 50)
+    assert len({bounds.joint(order) for order in orders}) == 1
+
+
 def test_a_shift_of_the_mean_changes_photon_noise_by_no_more_than_its_bound() -> None:
     """Compared with the formula of the noise, at both ends and in the middle of its table."""
     random = np.random.default_rng(2)
