@@ -1,6 +1,7 @@
 """Kill camctl before each of its file operations; demand all that it had acknowledged until then.
 
-    python crash_witness.py FOLDER SCENARIO STEP [--torn N] [--mutation NAME]
+    python crash_witness.py FOLDER SCENARIO STEP [--torn N]
+    python crash_witness.py FOLDER mutations
 
 A scenario does something that writes files: it takes a capture ("fresh", "resume", "force" over an
 older one, "retry" of a frame), a series, keeps a profile, the settings of the menu, a table or rows
@@ -11,10 +12,11 @@ kept, and at the end, which is exit status 0, every file with its content.
 At each crash point the folder is looked at as a kill leaves it, as a power failure leaves it at
 least, and N times as a power failure leaves it that kept a part of the later writes, in any order
 and torn (see `crash_points.PowerLoss`).  Then what the folder advises is done.  All that was
-acknowledged must be there.  Prints one JSON object for each check.
+acknowledged must be there.  Prints one JSON object for each check.  Folders with the same content,
+of which the same was acknowledged, are checked once.
 
-With --mutation the order of the writes is broken in one way, the points come in a random order, and
-the program ends at the first check that finds something wrong.
+With "mutations" the order of the writes is broken in each way of `crash_mutations` in turn.  The
+points come in a random order until a check finds something wrong; prints what the last one found.
 
 A program of its own: it forks, which a process with threads must not.
 """
@@ -385,6 +387,7 @@ class Sweep:
         prepare(self._template, lambda **item: self._before.add(item))
         shutil.copytree(self._template, self._work)
         self.operations = run(lambda: self._child(-1), self._work).operations
+        self._found: dict[str, list[str]] = {}
 
     def _child(self, descriptor: int) -> int:
         """Act, broken by the mutation, and acknowledge through a pipe."""
@@ -422,7 +425,10 @@ class Sweep:
             loss.strike(states[f"torn {number}"], random.Random(f"{seed} {point} {number}"))
         before = "end" if is_end else self.operations[point].name
         for cause, folder in states.items():
-            wrong = self._wrong(folder, told)
+            key = json.dumps([_all_in(folder), sorted(told.frames), told.values, told.files])
+            if key not in self._found:
+                self._found[key] = self._wrong(folder, told)
+            wrong = self._found[key]
             shutil.rmtree(folder, ignore_errors=True)
             yield {"point": point, "before": before, "cause": cause, "wrong": wrong}
 
@@ -440,24 +446,41 @@ class Sweep:
         return wrong
 
 
+def _all_in(folder: Path) -> list[tuple[str, str]]:
+    """Return every entry of a folder with the checksum of its content."""
+    return sorted(
+        (str(path.relative_to(folder)), digest(path.read_bytes()) if path.is_file() else "")
+        for path in folder.rglob("*")
+    )
+
+
+def noticed(base: Path, name: str) -> dict[str, Any]:
+    """Return what a sweep finds where the order of the writes is broken."""
+    sweep = Sweep(base, MUTATIONS[name].scenario, name)
+    count = len(sweep.operations)
+    for point in (count, *random.Random(1).sample(range(count), count)):
+        for found in sweep.at(point, 1):
+            if found["wrong"]:
+                return {"mutation": name, **found}
+    return {"mutation": name, "wrong": []}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=Path)
-    parser.add_argument("scenario", choices=SCENARIOS)
-    parser.add_argument("step", type=int)
+    parser.add_argument("scenario", choices=(*SCENARIOS, "mutations"))
+    parser.add_argument("step", type=int, nargs="?", default=1)
     parser.add_argument("--torn", type=int, default=0)
-    parser.add_argument("--mutation", choices=MUTATIONS)
     given = parser.parse_args()
     cv2.setNumThreads(1)
-    sweep = Sweep(given.folder, given.scenario, given.mutation)
-    points = [*range(0, len(sweep.operations), given.step), len(sweep.operations)]
-    if given.mutation is not None:
-        points = [points.pop(), *random.Random(1).sample(points, len(points))]
-    for point in points:
+    if given.scenario == "mutations":
+        for place, name in enumerate(MUTATIONS):
+            print(json.dumps(noticed(given.folder / str(place), name)), flush=True)
+        return
+    sweep = Sweep(given.folder, given.scenario, None)
+    for point in (*range(0, len(sweep.operations), given.step), len(sweep.operations)):
         for found in sweep.at(point, given.torn):
             print(json.dumps(found), flush=True)
-            if found["wrong"] and given.mutation is not None:
-                return
 
 
 if __name__ == "__main__":
