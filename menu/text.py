@@ -98,11 +98,11 @@ def _digits(value: float, digits: int) -> str:
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 
-def wrap(paragraphs: list[str], columns: int, indent: str = " ") -> list[str]:
+def wrap(paragraphs: list[str], columns: int) -> list[str]:
     """Return the paragraphs as lines of at most `columns` characters, the later ones indented."""
     lines: list[str] = []
     for paragraph in paragraphs:
-        lines += textwrap.wrap(paragraph, columns, subsequent_indent=indent) or [""]
+        lines += textwrap.wrap(paragraph, columns, subsequent_indent=" ") or [""]
     return lines
 
 

@@ -61,10 +61,10 @@ def draw_profile(profile: Profile, path: Path) -> None:
 
 
 @contextmanager
-def panels(path: Path, caption: str, count: int = 1) -> Iterator[tuple[Axes, ...]]:
-    """Yield axes side by side; then write them to a file; raises as `plot` does."""
-    with plot((path,), (max(_NARROWEST, _PANEL * count), _HEIGHT), caption) as figure:
-        yield tuple(figure.subplots(1, count, squeeze=False)[0])
+def panel(path: Path, caption: str) -> Iterator[Axes]:
+    """Yield axes; then write them to a file; raises as `plot` does."""
+    with plot((path,), (_NARROWEST, _HEIGHT), caption) as figure:
+        yield figure.subplots()
 
 
 def _leave_out(axes: Axes, title: str) -> None:

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, computed_field
 
 from camctl.calibration import emva
 from camctl.calibration.intervals import Z_95
-from camctl.calibration.plots import draw_exposures, draw_response, draw_transfer, panels
+from camctl.calibration.plots import draw_exposures, draw_response, draw_transfer, panel
 from camctl.calibration.single_steps import StepResult
 from camctl.errors import UsageError
 from camctl.findings import Finding
@@ -125,7 +125,7 @@ class ResponseResult(ResponseRecord, Result):
 
     def plot(self, path: str | Path) -> None:
         """Draw the curves to an SVG or PNG file; raises as `camctl.system.plots.plot` does."""
-        with panels(Path(path), "Brightness of irradiance, from black to saturation.") as (axes,):
+        with panel(Path(path), "Brightness of irradiance, from black to saturation.") as axes:
             draw_response(axes, self.mode or "these frames", self)
 
     def _keep(self, profile: Profile) -> None:
@@ -178,7 +178,7 @@ class NoiseResult(NoiseRecord, Result):
         Raises as `camctl.system.plots.plot` does.
         """
         caption = "Variance of the noise of a sample at its brightness; line: the fit."
-        with panels(Path(path), caption) as (axes,):
+        with panel(Path(path), caption) as axes:
             draw_transfer(axes, self.mode or "these frames", self)
 
     def _keep(self, profile: Profile) -> None:
@@ -198,7 +198,7 @@ class ExposureResult(ExposureRecord, Result):
 
         Raises as `camctl.system.plots.plot` does.
         """
-        with panels(Path(path), "True over stated exposure, with 95 % intervals.") as (axes,):
+        with panel(Path(path), "True over stated exposure, with 95 % intervals.") as axes:
             draw_exposures(axes, self.mode or "these frames", self)
 
     def _keep(self, profile: Profile) -> None:

@@ -33,9 +33,9 @@ TARGET_SHARE = 0.97
 _MEASURED_SHARE = 0.75
 #: A scene with no more than this share of the levels at the longest exposure is black.
 BLACK_SHARE = 0.01
-#: Metering frames at most; each step changes the time by a factor of up to `_LARGEST_STEP`.
+#: Metering frames at most; each step changes the time by a factor of up to `LARGEST_STEP`.
 _MOST_FRAMES = 16
-_LARGEST_STEP = 16.0
+LARGEST_STEP = 16.0
 #: Factor by which a saturated exposure is shortened while no unsaturated one is known.
 _SHORTENING = 8
 #: Shutter time of the first metering frame, s.
@@ -46,9 +46,9 @@ _MOST_SAMPLES = 1 << 20
 _WHITE_SHARE = 0.5
 #: A histogram takes light from a frame where it reaches this many levels, else from a longer one.
 _READABLE_LEVELS = 8
-#: Longest exposure for a histogram, s: the user waits for it, where so much is dark that the
-#: capture takes longer still.
-_LONGEST_HISTOGRAM_S = 4.0
+#: Longest exposure for a histogram or a preview, s: the user waits for it, where so much is dark
+#: that the capture takes longer still.
+WAITED_S = 4.0
 #: Share of the samples that need not be distinguished from black.
 _UNREAD_SHARE = 0.005
 #: Frames are compared whose exposures differ by this factor or more.  The pixels do not follow
@@ -266,7 +266,7 @@ def light_histogram(source: MeteringFrames, metering: Metering, *, lower_end: fl
 
     A frame at the metered setting gives the highlights; each longer one gives the samples that had
     fewer than `_READABLE_LEVELS` levels in the frame before, until only `_UNREAD_SHARE` of them is
-    darker, or all that is darker is below `lower_end`.  Times end at `_LONGEST_HISTOGRAM_S`, where
+    darker, or all that is darker is below `lower_end`.  Times end at `WAITED_S`, where
     the frames are not taken yet; from there on the gain rises.
     """
     controls = source.camera.controls
@@ -323,7 +323,7 @@ def light_histogram(source: MeteringFrames, metering: Metering, *, lower_end: fl
 def _longer(camera: Camera, setting: ExposureSetting, factor: float) -> ExposureSetting:
     """Return a setting with `factor` times the exposure, or the largest that metering uses."""
     controls = camera.controls
-    waited_s = _LONGEST_HISTOGRAM_S if controls.repeatable else math.inf  # else nobody waits
+    waited_s = WAITED_S if controls.repeatable else math.inf  # else nobody waits
     longest_s = max(min(waited_s, controls.time_s.maximum), setting.time_s)
     time_s = controls.time_s.nearest(min(setting.time_s * factor, longest_s))
     gain = min(setting.gain * factor * setting.time_s / time_s, controls.gain.maximum)
@@ -334,6 +334,6 @@ def _headroom(levels: FloatArray, bright: int) -> float:
     """Return the factor by which an exposure may grow until `bright` reaches the target."""
     target = float(levels[max(0, math.ceil(TARGET_SHARE * levels.size) - 1)])
     if bright == 0:
-        return _LARGEST_STEP
+        return LARGEST_STEP
     # The upper end of the brightness' gap: the light may be anywhere in it, and must not clip.
-    return min(_LARGEST_STEP, target / float(levels[min(bright, levels.size - 1)]))
+    return min(LARGEST_STEP, target / float(levels[min(bright, levels.size - 1)]))

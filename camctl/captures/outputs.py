@@ -7,9 +7,10 @@ outside the range -> what the frames say of each other and of their noise -> pic
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,13 +110,7 @@ def complete(
     ghosts = None
     if unfinished.request.deghost and movement is not None:
         ghosts = find_ghosts(
-            movement,
-            store.rows,
-            total,
-            light,
-            shot.exposures,
-            checks.samples,
-            controls.black,
+            movement, store.rows, total, light, shot.exposures, checks.samples, controls.black
         )
     return_free_memory()
     rendering = Rendering(
@@ -133,33 +128,24 @@ def complete(
     details = _details(unfinished, shot, checks, controls, outside, movement)
     files = store.keep_pictures(total, rendering, details)
     writing_s = time.perf_counter() - began
+    findings = [
+        *unfinished.plan.findings,
+        *unfinished.findings,
+        *_light_findings(unfinished, total, controls, achieved),
+        *_movement_findings(unfinished, movement, ghosts, repeatable=controls.repeatable),
+        *_measured_findings(achieved),
+        *_noise_findings(quality),
+    ]
     simulation = simulation_summary(shot.frames)
-    begun = unfinished.model_copy(
-        update={
-            "findings": [
-                *unfinished.plan.findings,
-                *unfinished.findings,
-                *_light_findings(unfinished, total, controls, achieved),
-                *_movement_findings(unfinished, movement, ghosts, repeatable=controls.repeatable),
-                *_measured_findings(achieved),
-                *_noise_findings(quality),
-            ],
-            "taken_at": details.taken_at,
-            "timing": {**unfinished.timing, "writing_s": writing_s},
-        }
-    )
     shared = UnfinishedCapture.model_fields.keys() & CaptureReport.model_fields.keys()
     report = CaptureReport.model_validate(
-        {name: getattr(begun, name) for name in shared}
+        {name: getattr(unfinished, name) for name in shared}
         | {
             "status": "complete",
-            "frames": [
-                FrameRecord.model_validate(
-                    (without_plan(frame) if simulation else dict(frame))
-                    | {"exposure": ratio.exposure, "exposure_ratio": ratio}
-                )
-                for frame, ratio in zip(shot.frames, shot.ratios, strict=True)
-            ],
+            "findings": findings,
+            "taken_at": details.taken_at,
+            "timing": {**unfinished.timing, "writing_s": writing_s},
+            "frames": _records(shot, without=without_plan if simulation else dict),
             "achieved": achieved,
             "simulation": simulation,
             "movement": None if movement is None else movement.found,
@@ -170,6 +156,16 @@ def complete(
     )
     store.save_report(report)
     return report.with_pictures(store)
+
+
+def _records(shot: _Shot, without: Callable[[StoredFrame], dict[str, Any]]) -> list[FrameRecord]:
+    """Return the frames for the report, with their true exposures; `without` gives their fields."""
+    return [
+        FrameRecord.model_validate(
+            without(frame) | {"exposure": ratio.exposure, "exposure_ratio": ratio}
+        )
+        for frame, ratio in zip(shot.frames, shot.ratios, strict=True)
+    ]
 
 
 def _effective_camera(

@@ -16,6 +16,7 @@ from camctl.exposure.light import Light
 from camctl.exposure.noise import coarser
 from camctl.exposure.objective import Objective
 from camctl.exposure.search.best import Search
+from camctl.exposure.search.front import SAME_LEVELS
 from camctl.exposure.search.ranges import Chosen
 from camctl.exposure.search.settings import relative_exposures
 from camctl.exposure.search.wall_time import predicted_wall_s
@@ -33,8 +34,6 @@ from camctl.records.capture_plan import CapturePlan, PlannedLight
 _NODES = 400
 #: Levels of a camera up to which the plan is rated with all of them: 14 bits and more take seconds.
 _MOST_EXACT = 8191
-#: Relative change of exposures that changes the effective levels with noise by at most 0.1 %.
-_SAME_LEVELS = 2e-3
 
 
 def plan_capture(
@@ -109,7 +108,7 @@ def plan_for(controls: ExposureControls, search: Search, light: Light | None) ->
         front=chosen.front,
     )
     possible = expected.effective_levels
-    if noise is None or not np.allclose(exposures, ratios, rtol=_SAME_LEVELS, atol=0.0):
+    if noise is None or not np.allclose(exposures, ratios, rtol=SAME_LEVELS, atol=0.0):
         possible = evaluate(
             real, desired, ratios, objective=objective, noise=noise
         ).effective_levels

@@ -16,7 +16,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.captures.metering import meter_light
+from camctl.captures.metering import LARGEST_STEP, WAITED_S, meter_light
 from camctl.captures.plan import plan_capture
 from camctl.captures.response_sheet import PANEL_WIDTH, Panel, response_sheet
 from camctl.errors import CaptureError, UsageError
@@ -36,11 +36,6 @@ from camctl.pictures.preview_light import ALL, Light, LightReducer
 from camctl.pictures.render import DARK, GOOD, SATURATED, Rendering, Tables
 from camctl.records.capture_plan import CapturePlan
 
-LONGEST_S = 4.0
-"""Longest exposure of a preview frame, s: the user waits for it, as for metering frames."""
-
-#: Each preview frame is longer than the one before by this factor at most.
-_STEP = 16.0
 #: The preview frames are evaluated down to the light of this share of their first level.
 _LEAST_LEVEL = 0.5
 
@@ -239,13 +234,13 @@ def preview_settings(
     """Return the settings of the preview frames, ascending.
 
     They go from the shortest exposure that is planned to the exposure `longest`, or as near to it
-    as a frame of `LONGEST_S` comes with the camera's highest gain.
+    as a frame of `WAITED_S` comes with the camera's highest gain.
     """
     time, gain = controls.time_s, controls.gain
-    most_s = max(shortest.time_s, min(LONGEST_S, time.maximum))
+    most_s = max(shortest.time_s, min(WAITED_S, time.maximum))
     ratio = longest / shortest.exposure
     ratio = min(ratio, most_s / shortest.time_s * gain.maximum / shortest.gain)
-    count = max(1, math.ceil(math.log(ratio) / math.log(_STEP))) if ratio > 1 else 1
+    count = max(1, math.ceil(math.log(ratio) / math.log(LARGEST_STEP))) if ratio > 1 else 1
     found = [shortest]
     for place in range(1, count + 1):
         factor = ratio ** (place / count)

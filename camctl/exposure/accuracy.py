@@ -21,7 +21,8 @@ from time import process_time
 from camctl.errors import UsageError
 from camctl.exposure.accurate.sets import AccurateSets
 from camctl.exposure.evaluation import evaluate
-from camctl.exposure.exposure_choices import SAME, AccuracyProblem, Rated
+from camctl.exposure.exposure_choices import AccuracyProblem, Rated
+from camctl.exposure.settings_grid import SAME
 from camctl.exposure.solver import Progress, Solution
 from camctl.model.effective import MAX_EXPOSURES, check_count
 

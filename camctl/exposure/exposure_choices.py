@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from camctl.errors import DataError, UsageError
+from camctl.exposure.settings_grid import SAME
 from camctl.model.noise import FrameNoise, NoiseModel
 from camctl.model.response.camera import CameraResponse, FloatArray
 from camctl.model.response.desired import DesiredResponse
@@ -20,9 +21,6 @@ MAX_CHOICES = 600
 
 MAX_BASES = 12
 """Shortest exposures that are tried on a list, at most."""
-
-SAME = 1e-9
-"""Relative difference up to which two exposures, or two times, are the same."""
 
 
 class Shot(NamedTuple):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from camctl.errors import UsageError
 from camctl.exposure.candidates import BatchScore
 from camctl.exposure.objective import ExposureProblem, Objective
-from camctl.exposure.settings_grid import SAME_RATIO, SettingsGrid
+from camctl.exposure.settings_grid import SAME, SettingsGrid
 from camctl.exposure.solver import (
     MAX_DIRECT_LEVELS,
     Progress,
@@ -163,7 +163,7 @@ def base_indices(grid: SettingsGrid, n: int) -> range:
         )
     first, stop = 0, exposures.size - n + 1
     if grid.base is not None:
-        low, high = grid.base[0] * (1 - SAME_RATIO), grid.base[1] * (1 + SAME_RATIO)
+        low, high = grid.base[0] * (1 - SAME), grid.base[1] * (1 + SAME)
         first = int(np.searchsorted(exposures, low))
         stop = min(stop, int(np.searchsorted(exposures, high, side="right")))
         if first >= stop:
@@ -185,7 +185,7 @@ def _enumerate(grid: SettingsGrid, n: int, bases: range, most: float) -> Indices
     """Return all index sets (C, n) of different ratios within limits; None if they are too many."""
     exposures = grid.exposures
     steps = np.diff(np.log(exposures))
-    if steps.size > 0 and bool(np.all(np.abs(steps - steps[0]) < SAME_RATIO)):
+    if steps.size > 0 and bool(np.all(np.abs(steps - steps[0]) < SAME)):
         bases = bases[:1]  # equal ratios: the sets of the first base have all ratios there are
     count = sum(math.comb(exposures.size - 1 - start, n - 1) for start in bases)
     if count > min(MAX_ENUMERATED_SETS, most):

@@ -21,8 +21,8 @@ MAX_PRODUCTS = 4_000_000
 SETTING_LIMITS = 1e-12, 1e12
 """Of a shutter time, in seconds or relative, and of a gain: no camera comes near them."""
 
-SAME_RATIO = 1e-9
-"""Relative difference up to which two exposures, or two steps of a grid, count as equal."""
+SAME = 1e-9
+"""Relative difference up to which two exposures, times, or steps of a grid are the same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class SettingsGrid:
     def exposures(self) -> FloatArray:
         """The different products time x gain, (S,) float64 ascending.
 
-        Products that agree to `SAME_RATIO` count as one.
+        Products that agree to `SAME` count as one.
 
         Raises:
             UsageError: one of the lists is empty, or there are more than `MAX_PRODUCTS` pairs
@@ -66,7 +66,7 @@ class SettingsGrid:
                 hint="give fewer times or fewer gains",
             )
         products = np.sort((times[:, np.newaxis] * gains).ravel())
-        new = np.concatenate([[True], np.diff(np.log(products)) > SAME_RATIO])
+        new = np.concatenate([[True], np.diff(np.log(products)) > SAME])
         return np.asarray(products[new])
 
 

@@ -109,7 +109,6 @@ class SearchOptions:
             unless `time_limit_s` ends the search
         effort: factor on the number of sets evaluated, > 0
         time_limit_s: wall time after which the best set so far is returned, s; None: no limit
-        refinement: factor on the number of sets tried at the end in steps of 1e-4 and less, >= 0
 
     Raises:
         UsageError: a value is out of range
@@ -118,7 +117,6 @@ class SearchOptions:
     seed: int = 0
     effort: float = 1.0
     time_limit_s: float | None = None
-    refinement: float = 1.0
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -126,8 +124,6 @@ class SearchOptions:
         for name, value in (("search effort", self.effort), ("time limit", self.time_limit_s)):
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise UsageError(f"invalid {name} {value:g}: expected a positive number")
-        if not 0 <= self.refinement < math.inf:
-            raise UsageError(f"invalid refinement {self.refinement:g}: expected a number >= 0")
 
 
 @dataclass(frozen=True)
@@ -362,7 +358,7 @@ class _Search:
         passes = FINAL_PASSES if p == round(p) else FINAL_PASSES // 4
         final = min(2 * n * passes, max(20.0, MAX_FINAL_LEVELS / sorted_at_once))
         self.finalists: FloatArray = np.empty((0, n))
-        self.final_evaluations = int(search.refinement * final)
+        self.final_evaluations = int(final)
         self.most_final = math.inf
 
     @property

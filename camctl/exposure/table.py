@@ -199,14 +199,9 @@ class ExposureTable:
 @cache
 def default_table() -> ExposureTable:
     """Return the table that is part of camctl: 8-bit linear, three responses and ranges, n <= 6."""
-    return _packaged("default_table.json")
-
-
-def _packaged(name: str) -> ExposureTable:
-    file = resources.files("camctl.exposure") / name
-    return ExposureTable.parse(
-        file.read_text(encoding="utf-8"), f"{name} of camctl", "install camctl again"
-    )
+    name = "default_table.json"
+    text = (resources.files("camctl.exposure") / name).read_text(encoding="utf-8")
+    return ExposureTable.parse(text, f"{name} of camctl", "install camctl again")
 
 
 def read_entry(path: Path, matches: Callable[[TableEntry], bool]) -> TableEntry:

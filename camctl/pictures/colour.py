@@ -17,7 +17,7 @@ _ROUNDED = np.float32(2.0**-8)
 #: outside of the display's range, or cannot be told from 0.
 _LEAST_CHANNEL = np.float32(0.01)
 #: Luminance of the primaries of BT.709.
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 #: Stands for an infinite standard deviation; its square is finite.
 _LARGEST_DEVIATION = np.float32(1e18)
 
@@ -66,7 +66,7 @@ def in_gamut(planes: _Planes, before: _Planes) -> _Planes:
         planes: R, G and B in linear BT.709
         before: of the camera; where a channel shows no light there it shows none now
     """
-    luminance = sum(plane * weight for plane, weight in zip(planes, _LUMINANCE, strict=True))
+    luminance = sum(plane * weight for plane, weight in zip(planes, LUMINANCE, strict=True))
     least = reduce(np.minimum, planes)
     limit = luminance * _LEAST_CHANNEL
     outside = least < limit

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.model.response.camera import linear_to_srgb
+from camctl.pictures.colour import LUMINANCE
 from camctl.pictures.preview_light import ALL, NO_LIGHT, Floats, Light, channels_of, largest_channel
 from camctl.system.picture_operations import box_means
 from camctl.system.threads import in_threads
@@ -63,8 +64,6 @@ _LOG2_E = np.float32(1 / np.log(2))
 _ROWS, _CLEANED_ROWS = 64, 128
 #: Least variance of log2 of the light, less than in any picture.
 _LEAST_VARIANCE = np.float32(1e-9)
-#: Luminance of the sRGB primaries.
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +135,7 @@ def _exposure(
     Reinhard, Parameter Estimation for Photographic Tone Reproduction, 2002: a scene of mostly dark
     light stays dark.
     """
-    weights = _LUMINANCE if colours.shape[2] == 3 else np.ones(1, np.float32)
+    weights = LUMINANCE if colours.shape[2] == 3 else np.ones(1, np.float32)
     some = (slice(None, None, -(-max(noise.shape) // _MOST_READ)),) * 2
     largest, colours = largest[some], colours[some]
     readable = (noise[some] < _READABLE) & (light.unlit[some] < ALL)

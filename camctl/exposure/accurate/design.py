@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from camctl.exposure.accurate.estimate import FrameAccuracy
 from camctl.exposure.accurate.frame_sets import Design
 from camctl.exposure.accurate.tuning import BETTER, LEAST_WEIGHT, TunedSets
-from camctl.exposure.exposure_choices import SAME
+from camctl.exposure.settings_grid import SAME
 
 WEIGHTS = (10.0, 5.0, 3.0, 2.0, 1.6, 1.3, 1.15, 1.0, 0.85, 0.7, 0.5, 0.35, 0.2, 0.1, 0.05)
 """Weights of time whose sets are traced along the front; at the last one, twice the time brings

@@ -15,9 +15,10 @@ import numpy as np
 from camctl.exposure.accurate.design import DesignSearch
 from camctl.exposure.accurate.frame_sets import Design
 from camctl.exposure.candidates import BatchScore
-from camctl.exposure.exposure_choices import SAME, Shot, Shots
+from camctl.exposure.exposure_choices import Shot, Shots
 from camctl.exposure.objective import ExposureProblem, Objective
 from camctl.exposure.random_sets import RandomSets
+from camctl.exposure.settings_grid import SAME
 from camctl.model.response.camera import FloatArray, every_nth_level
 
 STARTS, KEPT, MOVES, ROUNDS = 48, 8, 24, 12

@@ -22,9 +22,10 @@ from camctl.exposure.accurate.frame_sets import Design
 from camctl.exposure.accurate.judge import Judge
 from camctl.exposure.accurate.least_quantisation import COUNTS, least_quantisation
 from camctl.exposure.accurate.listed import ListedSets
-from camctl.exposure.exposure_choices import SAME, AccuracyProblem, Rated, bases
+from camctl.exposure.exposure_choices import AccuracyProblem, Rated, bases
 from camctl.exposure.noise import DITHERS
 from camctl.exposure.random_sets import interleave_step
+from camctl.exposure.settings_grid import SAME
 from camctl.model.distribution import deviation
 
 DITHERING = 0.3

@@ -18,7 +18,7 @@ from camctl.exposure.build import look_up
 from camctl.exposure.goal import ACCURACY, AUTO, RANGE_WITHOUT_LIGHT, XI, CaptureRequest
 from camctl.exposure.light import Light
 from camctl.exposure.objective import Objective, xi
-from camctl.exposure.search.front import Front
+from camctl.exposure.search.front import ATTEMPTS, SAME_TIME, Front
 from camctl.exposure.search.ranges import Chosen, choose_range
 from camctl.exposure.search.settings import (
     SettingChooser,
@@ -44,10 +44,6 @@ _BUDGET_SHARE = 0.995
 _MOST_LEVELS_SORTED = 8_000_000
 #: Sets of settings that are compared at least and at most.
 _LEAST_SETS, _MOST_SETS = 16, 400
-#: Attempts to find settings within a time budget.
-_ATTEMPTS = 6
-#: Relative difference up to which a time is within the budget: more than float64 rounds.
-_SAME = 1e-8
 
 Found: TypeAlias = tuple[tuple[ExposureSetting, ...], tuple[float, ...]]
 """Settings, and the ratios that were asked of the camera."""
@@ -342,9 +338,9 @@ def within_budget(
     found = choose(allowed)
     if budget_s is None:
         return found
-    for _ in range(_ATTEMPTS):
+    for _ in range(ATTEMPTS):
         over_s = wall_s(found[0]) - budget_s
-        if over_s <= _SAME * budget_s:
+        if over_s <= SAME_TIME * budget_s:
             return found
         assert allowed.time_budget_s is not None  # as in `request`, or less
         try:
@@ -376,7 +372,7 @@ def _shutter_budget(
     base_s = at_most(controls.time_s, limit_s)
     costs = time_costs(controls, before=before, shortest_s=base_s)
     left_s, least_s = request.time_budget_s - costs.fixed, costs.total([base_s] * count)
-    if least_s > left_s + _SAME * request.time_budget_s:
+    if least_s > left_s + SAME_TIME * request.time_budget_s:
         raise UsageError(
             f"{count} exposures do not fit into {request.time_budget_s:.4g} s",
             hint=f"the least is {least_s + costs.fixed:.4g} s; allow more, or take fewer exposures",

@@ -57,13 +57,13 @@ _FLOOR = SMOOTH_LEVELS, DEFAULT_COUNT
 #: Factors on the effective levels asked of the search until the camera's own steps reach them.
 _MORE_LEVELS = (1.0, 1.002, 1.006, 1.02)
 #: Relative change of exposures, by rounding, that changes the effective levels by at most 0.1 %.
-_SAME_LEVELS = 2e-3
+SAME_LEVELS = 2e-3
 #: Share of the levels that rounding down to the camera's steps may cost.
 _LOST = 1e-3
 #: Attempts to fit the camera's own steps into a time budget.
-_ATTEMPTS = 6
-#: Relative difference up to which two times are the same, in float64.
-_SAME = 1e-8
+ATTEMPTS = 6
+#: Relative difference up to which two times are the same: more than float64 rounds.
+SAME_TIME = 1e-8
 
 Progress = Callable[[float], None]
 
@@ -267,7 +267,7 @@ class Front:
 
     def _within(self, budget_s: float) -> FrontPoint:
         allowed_s = budget_s
-        for _ in range(_ATTEMPTS):
+        for _ in range(ATTEMPTS):
             try:
                 point = self._point(self._most_within(allowed_s))
             except UsageError:
@@ -275,10 +275,10 @@ class Front:
                     raise
                 break
             over_s = point.time_s - budget_s
-            if over_s <= _SAME * budget_s:
+            if over_s <= SAME_TIME * budget_s:
                 return point
             rounded = self._shortest_steps(point)
-            fits = rounded.time_s <= budget_s * (1 + _SAME)
+            fits = rounded.time_s <= budget_s * (1 + SAME_TIME)
             if fits and rounded.levels > (1 - _LOST) * point.levels:
                 return rounded
             allowed_s = min(allowed_s - over_s, allowed_s * (1 - 1e-3))
@@ -295,7 +295,7 @@ class Front:
 
     def _limit(self, budget_s: float) -> float:
         """Return a time budget in the unit of the problem, without the fixed time of a set."""
-        limit = budget_s / self._unit_s * (1 + _SAME / 10)
+        limit = budget_s / self._unit_s * (1 + SAME_TIME / 10)
         return limit - self._problem.available.costs.fixed
 
     def _shortest_steps(self, point: FrontPoint) -> FrontPoint:
@@ -303,9 +303,9 @@ class Front:
         least = min(self.controls.exposure(setting) for setting in point.settings)
         shorter = []
         for setting in point.settings:
-            is_base = self.controls.exposure(setting) <= least * (1 + _SAME)
+            is_base = self.controls.exposure(setting) <= least * (1 + SAME_TIME)
             below = self.controls.time_s.between(
-                self.controls.time_s.minimum, setting.time_s * (1 - _SAME), 1
+                self.controls.time_s.minimum, setting.time_s * (1 - SAME_TIME), 1
             )
             shorter.append(setting if is_base or not below else replace(setting, time_s=below[0]))
         levels, judge = point.levels, self._sets.judge
@@ -346,7 +346,7 @@ class Front:
                 if best is None:
                     raise
                 break
-            if best.levels >= levels and best.time_s <= budget_s * (1 + _SAME):
+            if best.levels >= levels and best.time_s <= budget_s * (1 + SAME_TIME):
                 return best
         assert best is not None  # the first attempt found it, or raised
         if budget_s < math.inf and best.time_s > budget_s:
@@ -394,7 +394,7 @@ class Front:
         levels = rated.levels
         if is_exact:
             levels = self.levels_of(settings)
-        elif changed > _SAME_LEVELS:
+        elif changed > SAME_LEVELS:
             sets, shots = self._sets, self._shots(settings)
             levels *= sets.judge.estimated(shots) / sets.judge.estimated(rated.shots)
             if not sets.dithered:

@@ -14,6 +14,7 @@ from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.light import LEAST_RANGE, Light
 from camctl.exposure.search.front import Front
 from camctl.exposure.search.settings import relative_exposures
+from camctl.exposure.settings_grid import SAME
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.response.desired import DesiredResponse
 from camctl.model.response.names import RANGES
@@ -32,8 +33,8 @@ TABLE = tuple(sorted(RANGES.values()))
 """Ranges that are chosen from where it is not: solving by xi takes up to minutes for many levels,
 and the table that is part of camctl has these."""
 
-#: Relative difference up to which two ranges are the same, and by which a range may be too small.
-_SAME, _MARGIN = 1e-9, 1.02
+#: Factor by which a range may be too small.
+_MARGIN = 1.02
 #: Share of the levels that are enough from which, by the estimate, a range may have them.
 _NEARLY = 0.95
 
@@ -100,7 +101,7 @@ def choose_range(
     """
     ladder = TABLE if estimate is None else STOPS
     needed = light.needed_from(replace(light.metering.setting, time_s=limit_s))
-    top = min(bisect_left(ladder, needed * (1 - _SAME)), len(ladder) - 1)
+    top = min(bisect_left(ladder, needed * (1 - SAME)), len(ladder) - 1)
 
     def desired(place: int) -> DesiredResponse:
         return light.desired(request, ladder[place])

@@ -17,7 +17,7 @@ from camctl.errors import CaptureError, UsageError
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.grid_search import solve_settings
 from camctl.exposure.objective import Objective
-from camctl.exposure.settings_grid import SettingsGrid
+from camctl.exposure.settings_grid import SAME, SettingsGrid
 from camctl.interface.controls import Control, ExposureControls, ExposureSetting
 from camctl.model.response.desired import DesiredResponse
 
@@ -36,9 +36,6 @@ _GAINS, _APERTURES = 64, 8
 _MOST_ROUNDED = 100
 #: Relative difference between requested and applied exposure from which there is a warning.
 _WARNING_DIFFERENCE = 0.01
-#: Relative difference up to which two exposures are the same, in float64.
-_SAME = 1e-9
-
 #: Levels that the longest exposure gives to the darkest light of a range that the scene decides.
 _SHADOW_LEVELS = 2.0
 #: Such exposures are no farther apart than this share of what one holds: else light between them
@@ -98,7 +95,7 @@ class SettingChooser:
                 )
             for candidate in itertools.islice(candidates, max(1, remaining // _KEPT_BASES)):
                 score = self.score(candidate)
-                if score < best_score * (1 - _SAME):
+                if score < best_score * (1 - SAME):
                     best_score, best = score, candidate
         return tuple(sorted(best, key=lambda setting: setting.exposure))
 
@@ -207,7 +204,7 @@ class SettingChooser:
 
 def _whole_below(number: float) -> int:
     """Return the largest whole number that is not above `number` (>= 1)."""
-    return math.floor(number * (1 + _SAME))
+    return math.floor(number * (1 + SAME))
 
 
 def reach_shadows(
@@ -237,10 +234,10 @@ def reach_shadows(
     needed = float(levels[0]) / desired.e_min if desired.e_min else math.inf
     possible = controls.time_s.maximum * controls.gain.maximum / shortest.time_s / shortest.gain
     longest = min(_SHADOW_LEVELS * needed, possible)
-    if is_fixed or len(settings) < 2 or exposures[-1] >= min(needed, longest * (1 - _SAME)):
+    if is_fixed or len(settings) < 2 or exposures[-1] >= min(needed, longest * (1 - SAME)):
         return None
     step = max(2.0, _OVERLAP * float(levels[-1] / levels[0]))
-    count = min(len(settings) - 1, math.ceil(math.log(longest) / math.log(step) - _SAME))
+    count = min(len(settings) - 1, math.ceil(math.log(longest) / math.log(step) - SAME))
     chain = [longest ** (place / count) for place in range(1, count + 1)]
     ratios = tuple(sorted([*exposures[: len(exposures) - count], *chain]))
 
@@ -274,7 +271,7 @@ def given_base(time: Control, base_s: float) -> float:
 
 def at_most(time: Control, limit_s: float) -> float:
     """Return the longest time up to a limit, or the shortest that there is."""
-    return (*time.between(time.minimum, limit_s * (1 + _SAME), 1), time.minimum)[0]
+    return (*time.between(time.minimum, limit_s * (1 + SAME), 1), time.minimum)[0]
 
 
 def _listed_exposures(controls: ExposureControls) -> dict[float, ExposureSetting]:
@@ -329,7 +326,7 @@ def search_choices(
     if request.base_s is not None:
         least_s = base_s = true_s(given_base(controls.time_s, limit_s))
     exposures = sorted(available)
-    if count <= len(exposures) and exposures[-count] < least_s * (1 - _SAME):
+    if count <= len(exposures) and exposures[-count] < least_s * (1 - SAME):
         raise CaptureError(
             f"a shortest exposure of {base_s:.4g} s leaves fewer than {count} exposures up to "
             f"{exposures[-1]:.4g} s, the longest on this camera",
@@ -340,7 +337,7 @@ def search_choices(
             },
         )
     total_s = math.inf if request.time_budget_s is None else request.time_budget_s
-    shortest_s = sum([each for each in exposures if each >= least_s * (1 - _SAME)][:count])
+    shortest_s = sum([each for each in exposures if each >= least_s * (1 - SAME)][:count])
     if shortest_s > total_s:
         raise UsageError(
             f"{count} exposures of this camera take {shortest_s:.4g} s at least, more than the "
