@@ -40,6 +40,10 @@ TUNED, IMPROVED = 4, 4
 NEAR_MSE = 1.02
 """Ratio of estimated errors up to which either set may be the better one: 1 % of the levels."""
 
+CHEAPER = 10.0
+"""Factor of the weight of time at which short frames are tried beside those of the best merit: many
+of them may bring what one long frame does."""
+
 NEAR = 7
 """Settings of a list that are tried for each frame of a pair."""
 
@@ -195,8 +199,9 @@ class DesignSearch(TunedSets):
     def several_within(self, limit: float, *, thorough: bool = True) -> list[Design]:
         """Return sets of little error that take `limit` at most, the best of each number of frames.
 
-        A thorough search also adds frames for as long as that costs next to nothing: by the
-        estimate, sets of different numbers are often equal, which the exact prediction tells apart.
+        A thorough search also adds frames, and leaves out others, for as long as that costs next to
+        nothing: by the estimate, sets of different numbers are often equal, which the exact
+        prediction tells apart.
         """
         traced = self.trace(time=limit)
         below = [each for each in traced if each.time <= limit]
@@ -209,24 +214,31 @@ class DesignSearch(TunedSets):
         fitted = _best_of_each(self.fitted(each, limit) for each in starts)
         tuned = [self.refitted(each, limit) for each in fitted[: None if thorough else TUNED]]
         tuned = _best_of_each(tuned)
-        if thorough:
-            tuned = _best_of_each([*tuned, *self._grown(tuned[0], limit)])
         kept = [each for each in tuned if each.mse < tuned[0].mse * NEAR_MSE]
         kept = kept[: IMPROVED if thorough else 2]
-        return _best_of_each([*(self._improved(each, limit) for each in kept), *tuned])
+        found = _best_of_each([*(self._improved(each, limit) for each in kept), *tuned])
+        if thorough:
+            found = _best_of_each([*found, *self._resized_on(found[0], limit)])
+        return found
 
-    def _grown(self, design: Design, limit: float) -> list[Design]:
-        """Return sets with one frame more each, down to those that are clearly worse."""
-        found, current, weight = [], design, self.weight_of(design)
-        while (
-            current.n < self.counts[1]
-            and self.least_time(current.n + 1) <= limit * (1 + SAME)
-            and current.mse < design.mse * NEAR_MSE
-        ):
-            mse = self.frames.mse(current.parts.sum(axis=1)[:, np.newaxis] + self.parts)
-            option = int(self.merits(mse, current.time + self.cost, weight).argmin())
-            current = self.scaled(self.changed(current, [option], []), limit)
-            found.append(current)
+    def _resized_on(self, design: Design, limit: float) -> list[Design]:
+        """Return sets with one frame more each, and with one less, down to those clearly worse."""
+        found: list[Design] = []
+        for more in (True, False):
+            current = design
+            while current.mse < design.mse * NEAR_MSE:
+                weight = self.weight_of(current)
+                trials = [
+                    self.scaled(each, limit)
+                    for each in self._resized(current, limit, (weight, CHEAPER * weight))
+                    if (each.n > current.n) == more and each.n != current.n
+                ]
+                if not trials:
+                    break
+                current = min(trials, key=lambda each: each.mse)
+                if not self.is_list:  # there it would change the number
+                    current = self._improved(current, limit)
+                found.append(current)
         return found
 
     def _improved(self, design: Design, limit: float) -> Design:
@@ -244,18 +256,22 @@ class DesignSearch(TunedSets):
             best = improved
         return best
 
-    def _resized(self, design: Design, limit: float) -> list[Design]:
-        """Return a set as it is, with one frame less, and with one frame more."""
+    def _resized(
+        self, design: Design, limit: float, weights: tuple[float, ...] = (1.0,)
+    ) -> list[Design]:
+        """Return a set as it is, and with the best frame less and more at each weight of time."""
         found = [design]
         rest, time, has_base = self.rests(design)
-        if design.n > self.counts[0]:
-            merit = self.merits(self.frames.mse(rest), time, 1.0)
-            fewer = np.where(has_base, merit, np.inf)[:-1]
-            found.append(self.changed(design, [], [int(fewer.argmin())]))
+        fewer, more = self.frames.mse(rest), None
         if design.n < self.counts[1]:
-            mse = self.frames.mse(rest[:, -1, np.newaxis] + self.parts)
-            option = int(self.merits(mse, design.time + self.cost, 1.0).argmin())
-            found.append(self.changed(design, [option], []))
+            more = self.frames.mse(rest[:, -1, np.newaxis] + self.parts)
+        for weight in weights:
+            if design.n > self.counts[0]:
+                merit = np.where(has_base, self.merits(fewer, time, weight), np.inf)[:-1]
+                found.append(self.changed(design, [], [int(merit.argmin())]))
+            if more is not None:
+                option = int(self.merits(more, design.time + self.cost, weight).argmin())
+                found.append(self.changed(design, [option], []))
         return [each for each in found if self.least_time(each.n) <= limit * (1 + SAME)]
 
     def _paired(self, design: Design, limit: float) -> Design:
