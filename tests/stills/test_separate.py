@@ -168,10 +168,10 @@ def test_hostile_tiff_maps_are_refused_at_once(tmp_path: Path) -> None:
     sizes = [(0, 0), (1 << 20, 1 << 20), (1, 1 << 31), (1 << 31, 60)]
     hostile = [whole[:length] for length in (0, 8, 100, len(whole) // 2)]
     for size in sizes:
-        data = bytearray(whole)
-        data[columns : columns + 4] = struct.pack("<I", size[0])
-        data[rows : rows + 4] = struct.pack("<I", size[1])
-        hostile.append(bytes(data))
+        changed = bytearray(whole)
+        changed[columns : columns + 4] = struct.pack("<I", size[0])
+        changed[rows : rows + 4] = struct.pack("<I", size[1])
+        hostile.append(bytes(changed))
     before = peak_memory()
     for data in hostile:
         path.write_bytes(data)
