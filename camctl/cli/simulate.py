@@ -25,6 +25,7 @@ from camctl.cli.output import (
     print_json,
     print_text,
     print_warning,
+    progress_bar,
 )
 from camctl.cli.parameter_types import (
     PATH,
@@ -89,7 +90,7 @@ class FrameSettings:
     )
     times_s: tuple[float, ...] | None = declare(
         "--times S1,S2,...",
-        "A bracket of these shutter times, instead of --time.",
+        "A bracket of these shutter times, instead of --time; the time grows with their number.",
         ListOf(Seconds()),
     )
     bracket: tuple[float, ...] | None = declare(
@@ -211,14 +212,17 @@ def _take(
         for time_s in times_s
     ]
     frames = []
-    for frame, file in zip(camera.shoot(settings), files, strict=True):
-        plan = camera.last_plan
-        assert plan is not None
-        properties = _frame_properties(frame, str(controls.layout)) | {"file": file}
-        comparison = camera.compare_last() if compare else None
-        frames.append(_SimulatedFrame(properties, plan, comparison))
-        if file is not None:
-            _write(frame, file)
+    with progress_bar(f"{len(settings)} frames") as bar:
+        for frame, file in zip(camera.shoot(settings), files, strict=True):
+            plan = camera.last_plan
+            assert plan is not None
+            properties = _frame_properties(frame, str(controls.layout)) | {"file": file}
+            comparison = camera.compare_last() if compare else None
+            frames.append(_SimulatedFrame(properties, plan, comparison))
+            if file is not None:
+                _write(frame, file)
+            if bar is not None:
+                bar(len(frames) / len(settings), "")
     return frames
 
 

@@ -86,9 +86,13 @@ QUICK_MARGIN = 1.25
 SHARE_BETWEEN = 0.05
 """Share of the evaluations for a camera between the coarsest and the finest one."""
 
-MOST_SECONDS, QUICK_SECONDS = 50.0, 3.0
-"""Processor time of a search, and of a quick one for each number of exposures, about, at most: by
-`BatchScore.seconds` and `ExposureProblem.seconds`, so that results are the same on each machine."""
+MOST_SECONDS = 36.0
+"""Processor time of a search, about, at most, by `BatchScore.seconds` and
+`ExposureProblem.seconds`, so that results are the same on each machine.  A command may take 60 s
+and does more than to search."""
+
+QUICK_SHARE = 0.5
+"""Share of it for the quick searches for each number of exposures, together, at most."""
 
 STEP_SHARE = 0.2
 """Share of it for one step of all sets, at most, where a search has to be limited."""
@@ -212,7 +216,7 @@ def solve(
     problem = ExposureProblem(response, desired, n, objective or Objective())
     options, started = search or SearchOptions(), process_time()
     if tolerance is None:
-        found = _best_of_count(problem, options, total_limit, progress)
+        found, _ = _best_of_count(problem, options, total_limit, progress)
     else:
         found = _fewest(problem, options, total_limit, tolerance, progress)
     if progress is not None:
@@ -233,7 +237,8 @@ def _best_of_count(
     total_limit: float,
     progress: Progress | None,
     seconds: float = MOST_SECONDS,
-) -> Solution:
+) -> tuple[Solution, float]:
+    """Return the best set found within a processor time, and the time for it, both s, about."""
     n = problem.n
     if not total_limit >= n:
         raise UsageError(
@@ -244,7 +249,7 @@ def _best_of_count(
     equal = (1.0,) * n
     # xi is never below 0, and no set is shorter than equal exposures.
     if n == 1 or total_limit == n or problem.score(equal) == 0:
-        return Solution.of(problem, equal)
+        return Solution.of(problem, equal), 0.0
     searches = _searches(problem, options, total_limit)
     needed = [each.needed_s for each in searches]
     share = seconds / sum(needed)
@@ -257,7 +262,8 @@ def _best_of_count(
         last = first + needed_s / sum(needed)
         running.progress, first = part_of(progress, first, last), last
         exposures = running.run(known)
-    return Solution.of(problem, exposures, evaluations=running.score.evaluations)
+    found = Solution.of(problem, exposures, evaluations=running.score.evaluations)
+    return found, min(seconds, sum(needed))
 
 
 def _fewest(
@@ -267,20 +273,26 @@ def _fewest(
     tolerance: float,
     progress: Progress | None,
 ) -> Solution:
-    """Return the best set of the fewest exposures whose objective is `tolerance` at most."""
+    """Return the best set of the fewest exposures whose objective is `tolerance` at most.
+
+    Of the time for full searches each takes half at most of what is left, the last one all.
+    """
     if not (math.isfinite(tolerance) and tolerance >= 0):
         raise UsageError(f"invalid tolerance {tolerance:g}: expected a number of levels >= 0")
     if problem.objective.levels_wanted is None:
         raise UsageError("a tolerance needs the number of desired levels")
     most, best = int(min(problem.n, max(1.0, total_limit))), math.inf
     quick = replace(options, effort=QUICK_EFFORT * options.effort)
+    quick_s, left_s = QUICK_SHARE * MOST_SECONDS / most, (1 - QUICK_SHARE) * MOST_SECONDS
     for n in range(1, most + 1):
         fewer = replace(problem, n=n)
         here = part_of(progress, (n - 1) / most, (n - 0.5) / most)
-        found = _best_of_count(fewer, quick, total_limit, here, QUICK_SECONDS)
+        found, _ = _best_of_count(fewer, quick, total_limit, here, quick_s)
         if tolerance < found.xi < QUICK_MARGIN * tolerance or n == most:
             here = part_of(progress, (n - 0.5) / most, n / most)
-            found = _best_of_count(fewer, options, total_limit, here)
+            in_s = left_s if n == most else left_s / 2
+            found, spent_s = _best_of_count(fewer, options, total_limit, here, in_s)
+            left_s -= spent_s
         if found.xi <= tolerance:
             return found
         best = min(best, found.xi)

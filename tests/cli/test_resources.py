@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 from random import Random
 
+import click
 import pytest
 from command_bases import BASES, COMMANDS
 from option_combinations import all_pairs, covering, pairs_of
@@ -39,7 +40,30 @@ def test_the_lines_come_from_the_options() -> None:
     made = [name for name, _ in lines()]
     assert len(made) > 500
     assert {name.split(" -")[0] for name in made} <= set(COMMANDS)
-    assert set(COSTLY) <= set(made)
+    assert set(COSTLY) <= {*made, "table show"}
+
+
+@pytest.mark.parametrize("name", COSTLY)
+def test_what_takes_longer_than_the_limit_says_so(name: str) -> None:
+    command = name.split(" -")[0]
+    context = click.Context(COMMANDS[command], info_name=command)
+    assert COSTLY[name] in " ".join(COMMANDS[command].get_help(context).split())
+
+
+@pytest.mark.parametrize("command", sorted({name.split(" -")[0] for name in COSTLY}))
+def test_what_takes_longer_than_the_limit_shows_its_progress(command: str, tmp_path: Path) -> None:
+    line = [*command.split(), *BASES[command][0].split()]
+    if command == "table show":
+        line += ["--electrons", "40"]  # rows are solved
+    program = (
+        "import sys; from camctl.cli import main; "
+        f"sys.stderr.isatty = lambda: True; sys.exit(main({line!r}))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "\u2501" in done.stderr  # a bar
 
 
 def test_rows_of_combinations_hold_each_pair_of_values() -> None:

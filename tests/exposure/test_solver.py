@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -296,18 +297,24 @@ def test_an_invalid_tolerance_is_refused(
 
 
 @pytest.mark.parametrize(
-    ("p", "jitter", "noise"),
+    ("p", "jitter", "noise", "tolerance"),
     [
-        (2.5, 0.2, None),
+        (2.5, 0.2, None, None),
+        (1.0, 0.0, None, 0.9),  # each number of exposures seems to need a full search
         *(
-            pytest.param(*each, marks=pytest.mark.slow)
+            pytest.param(*each, None, marks=pytest.mark.slow)
             for each in ((1.0, 0.0, None), (1.0, 0.2, None), (2.5, 0.0, NoiseTerm(0.1)))
         ),
     ],
 )
 @pytest.mark.parametrize("name", ["log", "gamma"])
 def test_the_longest_searches_score_no_more_than_they_have_time_for(
-    name: str, p: float, jitter: float, noise: NoiseTerm | None, monkeypatch: pytest.MonkeyPatch
+    name: str,
+    p: float,
+    jitter: float,
+    noise: NoiseTerm | None,
+    tolerance: float | None,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The scores are numbers that depend on the set, so that the test takes no time for them."""
     spent: list[float] = []
@@ -325,15 +332,17 @@ def test_the_longest_searches_score_no_more_than_they_have_time_for(
     monkeypatch.setattr(BatchScore, "__call__", score_sets)
     monkeypatch.setattr(ExposureProblem, "score", score)
     monkeypatch.setattr(solver, "evaluate", lambda *_, **__: found)
-    objective = Objective(p=p, jitter=jitter, noise=noise)
+    objective = Objective(tolerance and 1e7, p=p, jitter=jitter, noise=noise)
     shares: list[float] = []
-    solve(
-        linear_response(16),
-        desired_response(name, 1000.0, **({"gamma": 0.4} if name == "gamma" else {})),
-        16,
-        objective=objective,
-        progress=shares.append,
-    )
+    with pytest.raises(UsageError) if tolerance else nullcontext():
+        solve(
+            linear_response(16),
+            desired_response(name, 1000.0, **({"gamma": 0.4} if name == "gamma" else {})),
+            16,
+            objective=objective,
+            tolerance=tolerance,
+            progress=shares.append,
+        )
     assert sum(spent) < 1.1 * solver.MOST_SECONDS
     assert max(spent) <= solver.STEP_SHARE * solver.MOST_SECONDS  # between reports of progress
     assert shares == sorted(shares)

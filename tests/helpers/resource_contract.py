@@ -56,21 +56,22 @@ from camctl.errors import CamctlError
 MOST_BYTES = 500 << 20
 
 COSTLY = {
-    "series --repeat": "as many sets",
-    "calibrate delay --trials": "as many trials",
-    "table build --exposures": "seconds a row, most for five exposures and more",
-    "table build --ranges": "seconds a row, and a row for each range",
-    "tradeoff capture --repeats": "as many captures of each bracket",
-    "tradeoff simulation --frames": "as many frames",
-    "tradeoff simulation --tolerances": "as many runs",
-    "tradeoff solver --seeds": "as many searches",
-    "tradeoff solver --evaluations": "as long as --limit says",
-    "tradeoff solver --limit": "the time itself",
-    "solve --time-limit": "the time itself",
-    "simulate --times": "as many frames",
+    "series --repeat": "Number of sets.",
+    "calibrate delay --trials": "A trial takes about 20 frames.",
+    "table build --exposures": "Takes seconds per row, most for rows of five exposures and more.",
+    "table build --ranges": "Takes seconds per row, most for rows of five exposures and more.",
+    "table show": "up to a minute for a row of 16 bits and 16 exposures.",
+    "tradeoff capture --repeats": "the time grows with their number.",
+    "tradeoff simulation --frames": "the time grows with their number.",
+    "tradeoff simulation --tolerances": "each takes as many frames.",
+    "tradeoff solver --seeds": "the time grows with their number.",
+    "tradeoff solver --evaluations": "End a run also after N sets of exposures",
+    "tradeoff solver --limit": "CPU time of a run.",
+    "solve --time-limit": "stop bounding after about this time.",
+    "simulate --times": "the time grows with their number.",
 }
-"""Options whose largest values take longer than the limit, each with the cost that its page states:
-these commands show their progress, and go on."""
+"""Options (of `table show`: combinations of them) whose largest values take longer than the limit,
+each with what its page says of the time; these commands show their progress, and go on."""
 
 SIZES = ("--size", "--camera-option size=")
 """Options of the number of pixels, whose own memory counts beside the limit: a picture that does

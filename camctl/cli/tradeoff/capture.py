@@ -90,7 +90,7 @@ class Brackets:
     )
     repeats: int = declare(
         "--repeats N",
-        "Captures of each bracket, each with noise of its own.",
+        "Captures of each bracket, each with noise of its own; the time grows with their number.",
         WholeNumber(least=1, most=1000),
         default=3,
     )

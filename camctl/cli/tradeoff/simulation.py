@@ -47,13 +47,13 @@ class Frames:
     size: str | None = declare_as(named("size"))
     tolerances_dn: tuple[float, ...] = declare(
         "--tolerances DN,...",
-        "Tolerances, see `camctl simulate --tolerance`.",
+        "Tolerances, see `camctl simulate --tolerance`; each takes as many frames.",
         ListOf(Number("tolerances of at least 0 DN", least=0), unique=True),
         default="0,0.1,0.5,1,2,4,8",
     )
     repeats: int = declare(
         "--frames N",
-        "Frames that are taken and compared at each tolerance.",
+        "Frames that are taken and compared at each tolerance; the time grows with their number.",
         WholeNumber(least=1, most=1000),
         default=8,
     )

@@ -66,7 +66,8 @@ class Runs:
     )
     seeds: int = declare(
         "--seeds N",
-        "Runs of each method, with random numbers of their own; medians are shown.",
+        "Runs of each method, with random numbers of their own; medians are shown, and the time "
+        "grows with their number.",
         WholeNumber(least=1, most=100),
         default=3,
     )
