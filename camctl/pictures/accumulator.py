@@ -52,35 +52,38 @@ class Accumulator:
         Raises:
             CaptureError: the frame's shape or type differs from the others
         """
-        self._each_tile((pixels, False))
+        sums, samples = CHOICE.after(self.total.size), self._samples(pixels)
+        if sums is not None:
+            sums.add(self.total.reshape(-1), samples, self._highest)
+        else:
+            self._each_tile((samples, np.add))
 
     def withdraw(self, pixels: Pixels) -> None:
         """Subtract a frame that was added before, exactly."""
-        self._each_tile((pixels, True))
+        sums, samples = CHOICE.after(self.total.size), self._samples(pixels)
+        if sums is not None:
+            sums.subtract(self.total.reshape(-1), samples, self._highest)
+        else:
+            self._each_tile((samples, np.subtract))
 
     def exchange(self, old: Pixels, new: Pixels) -> None:
         """Subtract a frame that was added before, and add one in its place, in one pass."""
-        self._each_tile((new, False), (old, True))
+        sums, both = CHOICE.after(self.total.size), (self._samples(old), self._samples(new))
+        if sums is not None:
+            sums.exchange(self.total.reshape(-1), *both, self._highest)
+        else:
+            self._each_tile((both[1], np.add), (both[0], np.subtract))
 
-    def _each_tile(self, *steps: tuple[Pixels, bool]) -> None:
-        """Add or subtract (True) frames tile by tile."""
-        sources = [self._samples(pixels) for pixels, _ in steps]
+    def _each_tile(self, *steps: tuple[NDArray[Any], np.ufunc]) -> None:
+        """Add or subtract frames tile by tile."""
         total = self.total.reshape(-1)
-        sums = CHOICE.after(total.size)
-        # Compiled, one step is one pass already; two steps go over a tile in the cache.
-        size = total.size if sums is not None and len(steps) == 1 else _TILE
-        for start in range(0, total.size, max(size, 1)):
-            here = total[start : start + size]
-            for source, (_, is_subtracted) in zip(sources, steps, strict=True):
-                tile = source[start : start + size]
-                if sums is not None:
-                    work = sums.subtract if is_subtracted else sums.add
-                    work(here, tile, self._highest)
-                    continue
+        for start in range(0, total.size, _TILE):
+            here = total[start : start + _TILE]
+            for source, operation in steps:
+                tile = source[start : start + _TILE]
                 if self._clips:
                     narrow = self._narrow[: tile.size]
                     tile = np.minimum(tile, self._ceiling[: tile.size], out=narrow)
-                operation = np.subtract if is_subtracted else np.add
                 operation(here, tile, out=here)
 
     def _samples(self, pixels: Pixels) -> NDArray[Any]:

@@ -29,12 +29,20 @@ def _subtract(total: _Samples, samples: _Samples, white: np.unsignedinteger[Any]
         total[i] -= min(samples[i], white)
 
 
+def _exchange(
+    total: _Samples, old: _Samples, new: _Samples, white: np.unsignedinteger[Any]
+) -> None:
+    for i in range(new.size):
+        total[i] += min(new[i], white) - min(old[i], white)
+
+
 @dataclass(frozen=True)
 class CompiledSums:
-    """Add `min(samples, white)` to a sum, or subtract it; all arrays are contiguous, (S,)."""
+    """Add `min(samples, white)` to a sum, subtract it, or both; all arrays are contiguous, (S,)."""
 
     add: Callable[[_Samples, _Samples, np.unsignedinteger[Any]], None]
     subtract: Callable[[_Samples, _Samples, np.unsignedinteger[Any]], None]
+    exchange: Callable[[_Samples, _Samples, _Samples, np.unsignedinteger[Any]], None]
 
 
 @lru_cache(maxsize=1)
@@ -43,11 +51,13 @@ def load() -> CompiledSums | None:
     compiled = compiler()
     if compiled is None:
         return None
-    sums = CompiledSums(compiled(_add), compiled(_subtract))
+    sums = CompiledSums(compiled(_add), compiled(_subtract), compiled(_exchange))
     for sample in (np.uint8, np.uint16):
         for total in (np.uint16, np.uint32):
+            one: _Samples = np.zeros(1, sample)
             for work in (sums.add, sums.subtract):
-                work(np.zeros(1, total), np.zeros(1, sample), sample(1))
+                work(np.zeros(1, total), one, sample(1))
+            sums.exchange(np.zeros(1, total), one, one, sample(1))
     return sums
 
 

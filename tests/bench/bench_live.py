@@ -2,12 +2,13 @@
 
     OMP_NUM_THREADS=1 python tests/bench/bench_live.py [speed|stages|sum|truth|memory]
 
-speed: 1920 x 1080, three exposures, 8 bits, mono and RGB, frames that a camera in memory has ready:
-results a second with irradiance, mask and a picture of 960 x 540 as JPEG; and from a camera of 30
-frames a second: results a second, added latency.  stages: where the time goes.  sum: S += new - old
-alone, against a copy (memcpy) that moves as many bytes.  truth: 10^6 frames of a stream that loses
-frames, sets exposures late and exchanges lists; each sum is compared with that of the frames' true
-exposures.  memory: of 10^5 results.
+speed: 1920 x 1080, three exposures, 8 bits, mono, YUYV (whose luma the V4L2 driver takes; its noise
+is not known) and RGB, frames that a camera in memory has ready: results a second with irradiance,
+mask and a picture of 960 x 540 as JPEG; and from a camera of 30 frames a second: results a second,
+added latency (at most a frame interval + 15 ms).  stages: where the time goes.  sum: S += new - old
+alone, by numpy and compiled (extra `fast`), against a copy (memcpy) that moves as many bytes.
+truth: 10^6 frames of a stream that loses frames, sets exposures late and exchanges lists; each sum
+is compared with that of the frames' true exposures.  memory: of 10^5 results.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from random import Random
 from typing import Any, Self
+from unittest import mock
 
 import numpy as np
 
@@ -27,6 +29,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 from cycle_stream import CycleStream
 
 import camctl
+from camctl.drivers.v4l2.packing import FIRST_OF_TWO
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import CameraInfo, CyclePlace, Frame
 from camctl.interface.clock import Clock, RealClock, VirtualClock
@@ -41,12 +44,16 @@ from camctl.interface.cycle import CycleMethod
 from camctl.livestream.display import Display
 from camctl.livestream.window import Window
 from camctl.model.noise import NoiseModel
+from camctl.pictures import accumulator
 from camctl.pictures.accumulator import Accumulator
+from camctl.pictures.compiled_sum import load
 from camctl.streaming import ControlDelay, DelayOrigin, ExposureCycle
+from camctl.system.compiled_functions import LoadedLater
 from camctl.system.picture_operations import required_opencv
 
 SHAPE = 1080, 1920
 SETTINGS = tuple(ExposureSetting(time_s) for time_s in (0.001, 0.005, 0.03))
+KINDS = "mono", "yuyv", "rgb"
 REQUEST = CaptureRequest(base_s=0.001, ratios=(1, 5, 30), dynamic_range=256)
 
 
@@ -54,11 +61,12 @@ class FastCamera:
     """A camera whose frames are ready: each exposure has some, made before.
 
     Args:
-        layout: mono or RGB
+        kind: mono, yuyv or rgb
         interval_s: between two frames, s; 0: as fast as they are taken, in virtual time
     """
 
-    def __init__(self, layout: Layout, interval_s: float, shape: tuple[int, int] = SHAPE) -> None:
+    def __init__(self, kind: str, interval_s: float, shape: tuple[int, int] = SHAPE) -> None:
+        layout = Layout.RGB if kind == "rgb" else Layout.MONO
         self.info = CameraInfo("fast", "", "fast", "", "bench")
         self.clock: Clock = RealClock() if interval_s else VirtualClock()
         self.interval_s = interval_s
@@ -70,7 +78,7 @@ class FastCamera:
             white=255,
             response_origin=ResponseOrigin.STATED,
             frame_interval_s=interval_s or 1 / 30,
-            noise=NoiseModel(40.0, ((1.0, 8.0),)),
+            noise=None if kind == "yuyv" else NoiseModel(40.0, ((1.0, 8.0),)),
             delay_frames=2,
             sensitivity=1000.0,
         )
@@ -82,6 +90,18 @@ class FastCamera:
             each: [self._made(light * each.time_s * 1000, random) for _ in range(3)]
             for each in SETTINGS
         }
+        self._packing = FIRST_OF_TWO if kind == "yuyv" else None
+        if self._packing is not None:  # bytes of luma and chroma, as the camera sends them
+            for each, made in self.frames.items():
+                packed = [np.stack([luma, np.full_like(luma, 128)], axis=-1) for luma in made]
+                self.frames[each] = [frame.reshape(-1) for frame in packed]
+
+    def pixels(self, setting: ExposureSetting, number: int) -> Any:
+        """Return the samples of a frame, as its driver makes them."""
+        found = self.frames[setting][number % 3]
+        if self._packing is None:
+            return found
+        return self._packing.samples(found, self.controls.shape)
 
     def _made(self, light: Any, random: Any) -> Any:
         electrons = random.poisson(np.minimum(light, 1.2) * 256 * 40).astype(np.float32)
@@ -124,7 +144,7 @@ class FastCycle:
         self._next_s += late * camera.interval_s  # lost, as in the queue of a driver
         self._number += 1 + late
         nearest = min(camera.frames, key=lambda each: abs(each.time_s - setting.time_s))
-        pixels = camera.frames[nearest][number // len(self._settings) % 3]
+        pixels = camera.pixels(nearest, number // len(self._settings))
         place = CyclePlace(number, 0)
         return Frame(pixels, setting, setting, self._next_s, index, 0, 255, place=place)
 
@@ -137,9 +157,9 @@ class FastCycle:
 
 def speed() -> None:
     cv2 = required_opencv("the bench")
-    for layout in (Layout.MONO, Layout.RGB):
+    for kind in KINDS:
         for interval_s in (0.0, 1 / 30):
-            camera = FastCamera(layout, interval_s)
+            camera = FastCamera(kind, interval_s)
             display, latencies, count = Display(look=True, most=960), [], 0
             with camctl.live(camera, REQUEST, reuse=True) as live:
                 for _ in range(20):  # tables and limits are made
@@ -163,7 +183,7 @@ def speed() -> None:
                 "" if interval_s == 0 else f" (95 %: {np.percentile(latencies, 95) * 1e3:.0f} ms)"
             )
             print(
-                f"{layout}, {source}: {count / seconds:.1f} results a second on "
+                f"{kind}, {source}: {count / seconds:.1f} results a second on "
                 f"{busy:.2f} processors, {lost} frames lost{late}",
                 flush=True,
             )
@@ -172,8 +192,8 @@ def speed() -> None:
 def stages(results: int = 40) -> None:
     """Print the processor time of each part of a result, which other programs do not change."""
     cv2 = required_opencv("the bench")
-    for layout in (Layout.MONO, Layout.RGB):
-        camera, display = FastCamera(layout, 0.0), Display(look=True, most=960)
+    for kind in KINDS:
+        camera, display = FastCamera(kind, 0.0), Display(look=True, most=960)
         with camctl.live(camera, REQUEST, reuse=True) as live:
             spent: dict[str, float] = {}
             for number in range(20 + results):
@@ -201,10 +221,16 @@ def stages(results: int = 40) -> None:
         each = {name: seconds / results * 1e3 for name, seconds in spent.items()}
         parts = ", ".join(f"{name} {ms:.1f}" for name, ms in each.items())
         whole = sum(each.values()) - each["standard deviation"]
-        print(f"{layout}, ms of processor: {parts}; without standard deviation {whole:.1f}")
+        print(f"{kind}, ms of processor: {parts}; without standard deviation {whole:.1f}")
 
 
 def sum_against_copy() -> None:
+    for name, is_compiled in (("numpy", False), ("compiled", True)):
+        with mock.patch.object(accumulator, "CHOICE", LoadedLater(load, 1, is_compiled)):
+            _sum_against_copy(name)
+
+
+def _sum_against_copy(name: str) -> None:
     random = np.random.default_rng(0)
     # More than a cache holds: the frames of a stream come from memory.
     frames = [random.integers(0, 256, SHAPE, np.uint8) for _ in range(16)]
@@ -223,7 +249,9 @@ def sum_against_copy() -> None:
         np.copyto(buffers[(number + 1) % 16], buffers[number % 16])
         copies.append(time.perf_counter() - began)
     sum_s, copy_s = min(sums), min(copies)
-    print(f"sum {sum_s * 1e3:.2f} ms, copy {copy_s * 1e3:.2f} ms: {copy_s / sum_s:.2f} of it")
+    print(
+        f"sum by {name} {sum_s * 1e3:.2f} ms, copy {copy_s * 1e3:.2f} ms: {copy_s / sum_s:.2f} of it"
+    )
 
 
 def truth(frames: int = 1_000_000) -> None:
@@ -280,7 +308,7 @@ def truth(frames: int = 1_000_000) -> None:
 
 
 def memory(results: int = 100_000) -> None:
-    camera = FastCamera(Layout.MONO, 0.0, (48, 64))
+    camera = FastCamera("mono", 0.0, (48, 64))
     used = []
     with camctl.live(camera, REQUEST, reuse=True) as live:
         for number in range(results):
