@@ -249,9 +249,8 @@ def _sum_against_copy(name: str) -> None:
         np.copyto(buffers[(number + 1) % 16], buffers[number % 16])
         copies.append(time.perf_counter() - began)
     sum_s, copy_s = min(sums), min(copies)
-    print(
-        f"sum by {name} {sum_s * 1e3:.2f} ms, copy {copy_s * 1e3:.2f} ms: {copy_s / sum_s:.2f} of it"
-    )
+    times = f"{sum_s * 1e3:.2f} ms, copy {copy_s * 1e3:.2f} ms"
+    print(f"sum by {name} {times}: {copy_s / sum_s:.2f} of it")
 
 
 def truth(frames: int = 1_000_000) -> None:
