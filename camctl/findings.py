@@ -31,6 +31,8 @@ CODES: Final[dict[str, str]] = {
     "part_contradicts": "share of the comparable samples that do not fit the exposures",
     "delay_settled": "frames by which exposures took effect late at first; negative: early; then "
     "the camera settled at each exposure, and all were shot again",
+    "stream_settles": "nothing: exposures of a stream took effect at other frames than the control "
+    "delay says; from then on the camera settles at each exposure",
     "delay_contradicts": "frames by which exposures took effect late; negative: early",
     "frame_white": "share of the frame that is saturated, though the metered light is not",
     "frame_damaged": "share of the frame that shows no scene: its samples are any codes",

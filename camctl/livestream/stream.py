@@ -406,7 +406,7 @@ class Live:
         """Let the camera settle at each exposure where its control delay is not the known one."""
         if self._controls.delay_frames is not None and use_delay(self._camera, None):
             finding = Finding(
-                code="delay_settled", remedies={"calibrate_delay": self._camera.info.id}
+                code="stream_settles", remedies={"calibrate_delay": self._camera.info.id}
             )
             plan = self._wanted
             assert plan is not None  # a cycle was begun with it

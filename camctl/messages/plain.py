@@ -66,6 +66,14 @@ def _delay_settled(finding: Finding) -> str:
     )
 
 
+def _stream_settles(_: Finding) -> str:
+    return (
+        "exposures took effect at other frames than the known control delay says: from now on the "
+        "camera settles at each exposure, which leaves fewer results a second; measure its control "
+        "delay again"
+    )
+
+
 def _delay_contradicts(finding: Finding) -> str:
     if not finding.value:
         return (
@@ -268,6 +276,7 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
     "exposure_differs": _exposure_differs,
     "part_contradicts": _part_contradicts,
     "delay_settled": _delay_settled,
+    "stream_settles": _stream_settles,
     "delay_contradicts": _delay_contradicts,
     "frame_white": _frame_white,
     "frame_damaged": _frame_damaged,

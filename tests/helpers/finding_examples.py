@@ -22,6 +22,7 @@ _FINDINGS = (
     ),
     Finding(code="part_contradicts", frames=(0, 1), value=0.62, details={"compared": 0.031}),
     Finding(code="delay_settled", value=-1, remedies={"calibrate_delay": "v4l2:/dev/video0"}),
+    Finding(code="stream_settles", remedies={"calibrate_delay": "v4l2:/dev/video0"}),
     Finding(code="delay_contradicts", value=1, remedies={"calibrate_delay": "v4l2:/dev/video0"}),
     Finding(code="frame_white", frames=(0,), value=0.98, details={"metered": 0.01}),
     Finding(code="frame_damaged", frames=(2,), value=0.5),

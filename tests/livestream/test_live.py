@@ -159,7 +159,7 @@ def test_light_out_of_reach_is_a_finding() -> None:
 def test_a_wrong_control_delay_is_settled() -> None:
     with camera(late_frames=1) as opened, camctl.live(opened, GIVEN) as live:
         some = results(live, 60)
-    assert "delay_settled" in {finding.code for finding in some[-1].findings}
+    assert "stream_settles" in {finding.code for finding in some[-1].findings}
     last = some[-1]
     errors = (last.irradiance - gradient(*SHAPE)) / last.sd
     assert np.abs(np.median(errors)) < 0.5
