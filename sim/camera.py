@@ -99,8 +99,7 @@ class SimulatedCamera(CameraBase):
         self.sensor = sensor
         # The profile belongs to the serial number: each sensor has a profile of its own.
         self._info = CameraInfo("sim", "camctl", f"simulated {sensor.name}", sensor.name, "sim")
-        most = sensor.delay_frames + sensor.delay_jitter_frames
-        self._delay = ControlDelay(sensor.delay_frames, most, DelayOrigin.GUARANTEED)
+        self._delay = replace(ControlDelay.of(sensor.delay), origin=DelayOrigin.GUARANTEED)
         controls = sensor.controls(
             scene.shape,
             is_coloured=scene.is_coloured,
@@ -204,9 +203,15 @@ class SimulatedCamera(CameraBase):
         return [self._counted_frame(shot, after) for shot in shots]
 
     def _open(self) -> None:
-        delay = self.sensor.delay_frames + self._faults.late_frames
-        sensor = self.sensor.model_copy(update={"delay_frames": delay})
-        self.device = SimulatedDevice(sensor, self._render, self._clock, seed=self._seed)
+        self.device = SimulatedDevice(
+            self.sensor,
+            self._render,
+            self._clock,
+            late_frames=self._faults.late_frames,
+            seed=self._seed,
+        )
+        self._device_frames = _DeviceFrames(self.device, self._clock_offset_s)
+        self._stream = ExposurePipeline(self._device_frames, self._delay, self._brightness)
 
     def _close(self) -> None:
         """There is nothing to disconnect."""
@@ -230,14 +235,17 @@ class SimulatedCamera(CameraBase):
             longest = max(settings, key=lambda setting: setting.time_s)
             with suppress(CameraError):  # it was unplugged meanwhile
                 self.device.abort(resting_setting(self.controls, [longest]))
+            self._stream.release()
             raise
 
     def _pipeline(self, before_frame: Callable[[], None]) -> ExposurePipeline[Buffer]:
-        def brightness(buffer: Buffer) -> float:
-            return mean_brightness(self.device.read_out(buffer), self.controls.white)
+        """Return the pipeline of the open device, which calls this before each frame."""
+        self._device_frames.before_frame = before_frame
+        self._stream.delay = self._delay
+        return self._stream
 
-        frames = _DeviceFrames(self.device, before_frame, self._clock_offset_s)
-        return ExposurePipeline(frames, self._delay, brightness)
+    def _brightness(self, buffer: Buffer) -> float:
+        return mean_brightness(self.device.read_out(buffer), self.controls.white)
 
     def _clock_offset_s(self) -> float:
         return self._faults.clock_offset_s(self._frames_returned)
@@ -328,23 +336,24 @@ class _DeviceFrames:
 
     Args:
         device: the hardware
-        before_frame: called before each frame is taken
         clock_offset_s: returns by how much the device's clock is wrong
+
+    Attributes:
+        before_frame: called before each frame is taken
     """
 
     def __init__(
         self,
         device: SimulatedDevice,
-        before_frame: Callable[[], None],
         clock_offset_s: Callable[[], float],
     ) -> None:
         self._device = device
-        self._before_frame = before_frame
+        self.before_frame: Callable[[], None] = lambda: None
         self._clock_offset_s = clock_offset_s
         self._buffer: Buffer | None = None
 
     def next_frame(self) -> FrameStamp:
-        self._before_frame()
+        self.before_frame()
         self._buffer = self._device.dequeue(SILENCE_S)
         if self._buffer is None:
             raise CameraTimeoutError(

@@ -6,7 +6,8 @@ the task of the driver (`camctl.sim.camera`).  Like a V4L2 camera it
 - streams one frame slot after another, each as long as the frame interval or the exposure,
   whichever is longer; exposures end with their slot;
 - accepts a setting at any time, clamps it silently to its limits, and applies it `delay_frames`
-  slots later, counted from the first slot that has not begun; with -1 the running exposure has it;
+  slots later, counted from the first slot that has not begun; with -1 the running exposure has it,
+  and the gain may have another delay than the exposure time;
 - keeps the newest `QUEUE` finished frames for a late consumer and drops older ones.
 """
 
@@ -14,7 +15,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -68,6 +69,7 @@ class SimulatedDevice:
         sensor: its times, gains, delay and frame interval
         render: returns the pixels of an exposure
         clock: of the stream
+        late_frames: of each setting, more than the sensor says
         seed: of the variation of the control delay
 
     Attributes:
@@ -80,6 +82,7 @@ class SimulatedDevice:
         render: Callable[[Slot], Pixels],
         clock: Clock,
         *,
+        late_frames: int = 0,
         seed: int = 0,
     ) -> None:
         self._sensor = sensor
@@ -88,7 +91,12 @@ class SimulatedDevice:
         self._jitter = np.random.Generator(np.random.PCG64(seed))
         power_on = sensor.times.nearest(min(sensor.frame_interval_s, sensor.time_maximum_s) / 2)
         self._setting = ExposureSetting(power_on, 1.0)
-        self._pending: deque[tuple[int, ExposureSetting]] = deque()
+        delay = sensor.delay
+        assert delay.time is not None
+        assert delay.gain is not None
+        self._late = (delay.time[0] + late_frames, delay.gain[0] + late_frames)
+        #: For the exposure time and the gain: the slots from which on a setting has them.
+        self._pending: tuple[deque[tuple[int, ExposureSetting]], ...] = (deque(), deque())
         self._running = 0  # the slot that is being exposed, or begins at this instant
         self._start_s = clock.now()
         self._began_s = self._start_s
@@ -104,7 +112,7 @@ class SimulatedDevice:
         """Sequence number of the first slot that has not begun, as of frame-start events."""
         self._advance()
         # Where a setting acts on the running exposure, one that begins now has begun.
-        has_begun = self._clock.now() > self._start_s or self._sensor.delay_frames < 0
+        has_begun = self._clock.now() > self._start_s or min(self._late) < 0
         return self._running + has_begun
 
     def write(self, setting: ExposureSetting) -> tuple[int, ExposureSetting]:
@@ -114,9 +122,9 @@ class SimulatedDevice:
             self._sensor.times.nearest(setting.time_s), self._sensor.gains.nearest(setting.gain)
         )
         jitter = int(self._jitter.integers(0, self._sensor.delay_jitter_frames, endpoint=True))
-        first = upcoming + self._sensor.delay_frames + jitter
         # Settings are applied in the order of their writes: of several that are due the last wins.
-        self._pending.append((first, applied))
+        for pending, late in zip(self._pending, self._late, strict=True):
+            pending.append((upcoming + late + jitter, applied))
         return upcoming, applied
 
     def dequeue(self, silence_s: float) -> Buffer | None:
@@ -143,7 +151,8 @@ class SimulatedDevice:
     def abort(self, setting: ExposureSetting | None) -> None:
         """Stop the stream and start it again, with a setting: the running exposure is lost."""
         self._advance()
-        self._pending.clear()
+        for pending in self._pending:
+            pending.clear()
         self._finished.clear()
         self._setting = setting or self._setting
         self._running += 1
@@ -191,8 +200,11 @@ class SimulatedDevice:
 
     def _slot_s(self) -> float:
         """Return the length of the running slot, after applying the settings that are due."""
-        while self._pending and self._pending[0][0] <= self._running:
-            self._setting = self._pending.popleft()[1]
+        times, gains = self._pending
+        while times and times[0][0] <= self._running:
+            self._setting = replace(self._setting, time_s=times.popleft()[1].time_s)
+        while gains and gains[0][0] <= self._running:
+            self._setting = replace(self._setting, gain=gains.popleft()[1].gain)
         return max(self._sensor.frame_interval_s, self._setting.time_s)
 
     def _advance(self) -> None:

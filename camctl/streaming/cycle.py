@@ -81,6 +81,8 @@ class ExposureCycle(Generic[DataT]):
         self._next_settings: tuple[ExposureSetting, ...] | None = None
         self._at = 0  # position of the next setting to be written
         self._writes: deque[_Write] = deque()
+        self._has_begun = False
+        self._mixed = (0, 0)  # slots that may have one control of a list and one of the list before
         self._lock = threading.Lock()
         self._delay = delay.over([*self._settings, self._settings[0]])
 
@@ -132,7 +134,7 @@ class ExposureCycle(Generic[DataT]):
         with self._lock:
             if self._at == 0 and self._next_settings is not None:
                 after, self._next_settings = self._next_settings, None
-                self._delay = self._bounds.over([*self._settings, *after, after[0]])
+                self._delay = self._bounds.over([*after, after[0]])
                 self._settings, self._plan = after, self._last_plan
             index = self._at
             self._at = (index + 1) % len(self._settings)
@@ -172,6 +174,8 @@ class ExposureCycle(Generic[DataT]):
             writes.popleft()
         if not writes or stamp.number < writes[0].latest:
             return None
+        if self._mixed[0] <= stamp.number < self._mixed[1]:
+            return None
         is_ambiguous = len(writes) > 1 and writes[1].earliest <= stamp.number
         return None if is_ambiguous else writes[0]
 
@@ -193,8 +197,12 @@ class ExposureCycle(Generic[DataT]):
         upcoming = self._source.upcoming()
         if upcoming is None or (self._writes and upcoming <= self._writes[-1].slot):
             return
+        plan = self._plan
         index, setting = self._take_next_setting()
         written = self._source.write(setting)
+        if plan != self._plan or not self._has_begun:
+            bounds, self._has_begun = self._bounds, True
+            self._mixed = (written.first + bounds.smallest, written.last + bounds.largest)
         self._writes.append(
             _Write(
                 index,

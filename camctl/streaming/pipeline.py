@@ -21,7 +21,7 @@ from camctl.errors import CameraError, CameraProtocolError
 from camctl.interface.camera import CyclePlace
 from camctl.interface.controls import ExposureSetting
 from camctl.streaming.control_delay import ASSUMED_LARGEST, ControlDelay, DelayOrigin
-from camctl.streaming.source import NumberedSource, irregular_frames, same_brightness
+from camctl.streaming.source import FrameStamp, NumberedSource, irregular_frames, same_brightness
 
 DataT = TypeVar("DataT")
 
@@ -31,6 +31,8 @@ _STEP_SETTLING = ASSUMED_LARGEST + 2
 _ATTEMPTS = 16
 #: Old frames that are dropped at once at most: more than any driver has buffers.
 _OLD_FRAMES = 100
+#: Writes that are remembered: more than can be on their way at once.
+_WRITES = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +101,9 @@ class ExposurePipeline(Generic[DataT]):
         self._proves = proves
         self._source = source
         self.delay = self._delay = delay
-        self._written: ExposureSetting | None = None  # the last setting
+        #: The last settings that were written, with the last number that the first slot not begun
+        #: at the write may have had.
+        self._writes: deque[tuple[int, ExposureSetting]] = deque(maxlen=_WRITES)
         self._brightness = brightness
         if brightness is None and delay.origin is not DelayOrigin.GUARANTEED:
             raise ValueError("brightness is needed unless the control delay is guaranteed")
@@ -122,13 +126,30 @@ class ExposurePipeline(Generic[DataT]):
             CameraProtocolError: too many frames are lost, or the brightness does not settle
             CameraError: as the source raises; frames of earlier settings are yielded before that
         """
-        self._delay = self.delay
-        if self._written is not None:
-            rests = () if rest is None else (rest,)
-            self._delay = self.delay.over([self._written, *settings, *rests])
+        self._delay = self._delay_over(settings if rest is None else (*settings, rest))
         if self._delay.frames is not None:
-            return self._pipelined(settings, rest)
-        return self._settled_each(settings, rest)
+            yield from self._pipelined(settings, rest)
+        else:
+            yield from self._settled_each(settings, rest)
+
+    def _delay_over(self, settings: Sequence[ExposureSetting]) -> ControlDelay:
+        """Return the delay of the changes to these settings, and of those that are on their way.
+
+        Where time and gain differ in their delays, a list that changes one of them alone may begin
+        while the other still has the value before.
+        """
+        if not settings or self.delay.frames is not None or self.delay.time == self.delay.gain:
+            return self.delay
+        self._drop_old_frames()
+        upcoming = self._source.upcoming()
+        if upcoming is None:
+            return self.delay
+        in_force: list[ExposureSetting] = []
+        for slot, setting in reversed(self._writes):
+            in_force.insert(0, setting)
+            if slot + self.delay.largest <= upcoming + self.delay.smallest:
+                return self.delay.over([*in_force, *settings])
+        return self.delay  # what is in force is not known
 
     def settled(self, index: int, setting: ExposureSetting) -> Shot[DataT]:
         """Write a setting and return a frame that surely has it; raises as `shoot` does."""
@@ -137,7 +158,7 @@ class ExposurePipeline(Generic[DataT]):
 
     def release(self) -> tuple[NumberedSource[DataT], Callable[[DataT], float] | None]:
         """Return the stream and the brightness of its frames, for settings written elsewhere."""
-        self._written = None  # what is written last is not known here
+        self._writes.clear()  # what is written last is not known here
         return self._source, self._brightness
 
     def step(
@@ -158,13 +179,13 @@ class ExposurePipeline(Generic[DataT]):
         settling = self._delay.largest if is_guaranteed else _STEP_SETTLING
         for attempt in range(_ATTEMPTS):
             settled = self._write_now(0, before).slot + settling
-            while self._source.next_frame().number < settled:
+            while self._next_frame().number < settled:
                 pass
             self._drop_old_frames()
             if (self._steps + attempt) % 2:
                 self._source.upcoming(late=True)
             written = self._source.write(after)
-            self._written = written.applied
+            self._writes.append((written.last, written.applied))
             shots = self._consecutive(written.applied, written.last, frames, early)
             # A write that may have ended in the next slot does not count.
             if written.first == written.last and shots is not None:
@@ -195,7 +216,7 @@ class ExposurePipeline(Generic[DataT]):
                     raise error
                 _write_again(pending, 1, unwritten)
                 continue
-            stamp = self._source.next_frame()
+            stamp = self._next_frame()
             if not stamp.is_certain:
                 _write_again(pending, len(pending), unwritten)
                 continue
@@ -227,7 +248,7 @@ class ExposurePipeline(Generic[DataT]):
             shot = self._settled(self._write_now(index, setting))
             if rest is not None and index + 1 == len(settings):
                 with suppress(CameraError):  # what was asked for has been shot
-                    self._written = self._source.write(rest).applied
+                    self._write(index, rest)
             yield shot
 
     def _settled(self, written: _Pending) -> Shot[DataT]:
@@ -238,7 +259,7 @@ class ExposurePipeline(Generic[DataT]):
         previous: tuple[int, float] | None = None
         looked_at = unread = 0
         while looked_at < _ATTEMPTS:
-            stamp = self._source.next_frame()
+            stamp = self._next_frame()
             is_early = stamp.number < written.latest
             if stamp.number < written.earliest or (is_early and self._proves is None):
                 continue
@@ -278,7 +299,7 @@ class ExposurePipeline(Generic[DataT]):
         """Return the frames from slot `first` on, up to `early` before it; None: one is missing."""
         shots: list[Shot[DataT]] = []
         while not shots or shots[-1].index + 1 < frames:
-            stamp = self._source.next_frame()
+            stamp = self._next_frame()
             if not stamp.is_certain:
                 return None
             index = stamp.number - first
@@ -291,12 +312,19 @@ class ExposurePipeline(Generic[DataT]):
             shots.append(Shot(index, applied, stamp.time_s, data))
         return shots
 
+    def _next_frame(self) -> FrameStamp:
+        """Wait for the next frame."""
+        stamp = self._source.next_frame()
+        if not stamp.is_certain:
+            self._writes.clear()  # how long ago they were is not known any more
+        return stamp
+
     def _drop_old_frames(self) -> None:
         """Discard frames that have been waiting, until a setting may be written."""
         for _ in range(_OLD_FRAMES):
             if self._source.upcoming() is not None:
                 return
-            self._source.next_frame()
+            self._next_frame()
         raise irregular_frames()
 
     def _write_next(
@@ -326,8 +354,12 @@ class ExposurePipeline(Generic[DataT]):
         return self._write(index, setting)
 
     def _write(self, index: int, setting: ExposureSetting) -> _Pending:
-        written = self._source.write(setting)
-        self._written = written.applied
+        try:
+            written = self._source.write(setting)
+        except CameraError:
+            self._writes.clear()  # the device may have another setting now
+            raise
+        self._writes.append((written.last, written.applied))
         return _Pending(
             index,
             written.applied,

@@ -447,7 +447,9 @@ class GenicamCamera(StreamCamera[Received]):
 
     def _resume(self) -> None:
         """Go on as before an uploaded sequence: a free run has begun anew, with other numbers."""
-        if not self._is_triggered:
+        if self._is_triggered:
+            self._pipeline.release()  # the sequencer has set what is in force
+        else:
             self._run_free(self._pipeline.delay)
 
     def _end_uploaded(self) -> None:

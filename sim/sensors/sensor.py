@@ -16,6 +16,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, StringConstraints, model_validator
 
 from camctl.errors import unknown_name
+from camctl.interface.camera import MeasuredDelay
 from camctl.interface.controls import (
     Choices,
     Control,
@@ -86,6 +87,7 @@ class Sensor(FileModel):
         gain_maximum, gain_step: linear gain from 1 up; step 0 is continuous
         delay_frames: frames from setting an exposure to the frame that has it; -1: the frame that
             is being exposed has it already
+        gain_delay_frames: of the gain; None: as of the exposure time
         delay_jitter_frames: up to so many frames more, at random; 0 for a constant delay
         frame_interval_s: least time from frame to frame
         spectrum: three rows, the sensor's red, green and blue as weights of the scene's red, green
@@ -112,6 +114,7 @@ class Sensor(FileModel):
     gain_maximum: float = Field(default=1.0, ge=1, le=1e6, allow_inf_nan=False)
     gain_step: Annotated[NotNegative, NotTiny] = 0.0
     delay_frames: int = Field(default=2, ge=-1, le=30)
+    gain_delay_frames: int | None = Field(default=None, ge=-1, le=30)
     delay_jitter_frames: int = Field(default=0, ge=0, le=30)
     frame_interval_s: Seconds = 1 / 30
     spectrum: tuple[Weights, Weights, Weights] | None = None
@@ -178,6 +181,15 @@ class Sensor(FileModel):
                 " read_out.nonlinearity_dn"
             )
         _ = self.response  # raises for an invalid curve
+
+    @property
+    def delay(self) -> MeasuredDelay:
+        """Bounds of the control delay, frames."""
+        time, more = self.delay_frames, self.delay_jitter_frames
+        gain = time if self.gain_delay_frames is None else self.gain_delay_frames
+        return MeasuredDelay(
+            min(time, gain), max(time, gain) + more, (time, time + more), (gain, gain + more)
+        )
 
     @property
     def _largest_read_noise_e(self) -> float:
@@ -285,6 +297,7 @@ class Sensor(FileModel):
             is_coloured: whether the scene has colours
             photons_per_unit: photons a pixel a second for one unit of the scene's irradiance
         """
+        delay = self.delay
         return ExposureControls(
             time_s=self.times,
             gain=self.gains,
@@ -296,7 +309,7 @@ class Sensor(FileModel):
             phase=self.phase,
             response=self.response,
             response_origin=ResponseOrigin.STATED,
-            delay_frames=None if self.delay_jitter_frames else self.delay_frames,
+            delay_frames=delay.largest if delay.smallest == delay.largest else None,
             frame_interval_s=self.frame_interval_s,
             sensitivity=photons_per_unit * self.quantum_efficiency / self.full_scale_e,
             noise=self.noise_model,

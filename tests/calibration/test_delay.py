@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
@@ -33,8 +32,7 @@ from camctl.profiles.profile import change_profile, load_profile
 from camctl.sim.camera import Faults, SimulatedCamera
 from camctl.sim.scenes.scene import Scene, load_scene
 from camctl.sim.sensors.sensor import Sensor, load_sensor
-from camctl.sim.streaming_device import Buffer, SimulatedDevice
-from camctl.streaming import ControlDelay
+from camctl.sim.streaming_device import Buffer
 
 
 def camera(
@@ -122,23 +120,6 @@ def test_varying_delay_is_not_constant() -> None:
 def test_delay_longer_than_the_frames_looked_at_first() -> None:
     with camera(FIRST_FRAMES + 5) as under_test:
         assert measure_delay(under_test, trials=4).frames == FIRST_FRAMES + 5
-
-
-def test_delay_of_the_gain_is_measured_too() -> None:
-    class LateGain(SimulatedCamera):
-        """Its gain takes a frame longer than its shutter time."""
-
-        def step(
-            self, before: ExposureSetting, after: ExposureSetting, frames: int, *, early: int = 0
-        ) -> list[Frame]:
-            shown = super().step(before, after, frames + 1)
-            late = before.gain != after.gain
-            old = super().step(before, before, 1) if late else []
-            return ([*old, *shown] if late else shown)[:frames]
-
-    with camera(2, kind=LateGain, gain_maximum=8.0) as under_test:
-        record = measure_delay(under_test)
-    assert (record.frames, record.smallest, record.largest) == (None, 2, 3)
 
 
 def test_camera_with_a_list_of_times() -> None:
@@ -376,7 +357,7 @@ def test_delay_that_a_random_series_contradicts_is_refused() -> None:
 
     class Deceptive(SimulatedCamera):
         def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
-            self.device._sensor = self.device._sensor.model_copy(update={"delay_frames": 3})
+            self.device._late = (3, 3)
             return super()._frames(settings)
 
     with (
@@ -386,43 +367,27 @@ def test_delay_that_a_random_series_contradicts_is_refused() -> None:
         measure_delay(under_test)
 
 
-class LateGainDevice(SimulatedDevice):
-    """Its gain takes effect two frames after its shutter time."""
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self._gains: deque[tuple[int, float]] = deque()
-        self._gain = 1.0
-
-    def write(self, setting: ExposureSetting) -> tuple[int, ExposureSetting]:
-        upcoming, applied = super().write(setting)
-        self._gains.append((upcoming + self._sensor.delay_frames + 2, applied.gain))
-        return upcoming, applied
-
-    def _slot_s(self) -> float:
-        length_s = super()._slot_s()
-        while self._gains and self._gains[0][0] <= self._running:
-            self._gain = self._gains.popleft()[1]
-        self._setting = replace(self._setting, gain=self._gain)
-        return length_s
-
-
-def test_delays_of_time_and_gain_are_measured_and_used_apart() -> None:
-    class Late(SimulatedCamera):
-        def _open(self) -> None:
-            super()._open()
-            self.device = LateGainDevice(self.sensor, self._render, self._clock)
-
-    model = {**load_sensor("standard").model_dump(), "delay_frames": 1, "gain_maximum": 8.0}
-    scene = load_scene("tile-floor", (30, 40))
-    with Late(scene, Sensor.model_validate(model), is_unknown=True) as under_test:
-        record = measure_delay(under_test)
-    assert (record.time, record.gain, record.frames) == ((1, 1), (3, 3), None)
-    delay = ControlDelay.from_record(record)
-    short, long = ExposureSetting(0.01), ExposureSetting(0.02)
-    assert delay.over([short, long, short]).frames == 1
-    assert delay.over([short, replace(short, gain=2.0)]).frames == 3
-    assert delay.over([short, replace(long, gain=2.0)]).frames is None
+@pytest.mark.parametrize(("time", "gain"), some(product(range(-1, 6), repeat=2), every=6))
+def test_delays_of_time_and_gain_are_measured_and_used_apart(time: int, gain: int) -> None:
+    """Whatever changes, each frame has its own exposure, by its pixels."""
+    changes = {"delay_frames": time, "gain_delay_frames": gain, "gain_maximum": 8.0}
+    model = Sensor.model_validate({**load_sensor("ideal-12").model_dump(), **changes})
+    with SimulatedCamera(load_scene("tile-floor", (30, 40)), model, is_unknown=True) as camera:
+        record = measure_delay(camera)
+        assert (record.time, record.gain) == ((time, time), (gain, gain))
+        assert record.frames == (time if time == gain else None)
+        exposures = [(0.002, 1), (0.004, 1), (0.001, 1), (0.001, 4), (0.001, 2), (0.004, 1)]
+        plans = [exposures[:3], exposures[3:5], exposures]
+        for plan, delay in zip(plans, (time, gain, record.frames), strict=True):
+            wanted = [ExposureSetting(camera.controls.time_s.nearest(t), g) for t, g in plan]
+            list(camera.shoot(wanted[-1:]))
+            before = camera.device._running
+            frames = list(camera.shoot(wanted))
+            light = [float(frame.pixels.mean()) / frame.applied.exposure for frame in frames]
+            # Exposures differ by a factor of 2 at least.
+            assert light == pytest.approx([light[0]] * len(plan), rel=0.05)
+            if delay is not None:  # n + d frames, and one at rest
+                assert camera.device._running - before <= len(plan) + delay + 2
 
 
 @pytest.mark.parametrize("delay", range(-1, 5))

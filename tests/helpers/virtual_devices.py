@@ -303,9 +303,12 @@ def recorded_delay(camera: Camera) -> DelayRecord:
 
 
 @contextmanager
-def control_delay(hub: Hub, device: Device, delay: int) -> Iterator[None]:
-    """Make a device's controls `delay` frames late, and record that in its profile."""
-    hub.do(device.name, "delay", frames=delay)
+def control_delay(hub: Hub, device: Device, delay: int, gain: int | None = None) -> Iterator[None]:
+    """Make a device's controls `delay` frames late, and record that in its profile.
+
+    The delay of its gain is not recorded, where that is another.
+    """
+    hub.do(device.name, "delay", frames=delay, gain=gain)
     record_delay(device, delay, delay)
     try:
         yield

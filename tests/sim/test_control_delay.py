@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -20,8 +22,12 @@ from steady_camera import (
 from camctl.errors import (
     CameraProtocolError,
 )
-from camctl.interface.camera import StreamingCamera
+from camctl.interface.camera import Frame, StreamingCamera
 from camctl.interface.clock import VirtualClock
+from camctl.interface.controls import ExposureSetting
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import Sensor, load_sensor
 from camctl.sim.streaming_device import QUEUE
 
 
@@ -194,3 +200,34 @@ def test_step_does_not_skip_a_lost_frame() -> None:
         pytest.raises(CameraProtocolError, match="frames are lost, damaged, or"),
     ):
         camera.step(short, long, 3)
+
+
+@pytest.mark.parametrize(("time", "gain"), [(-1, 2), (0, -1), (0, 5), (2, 0), (3, 3), (5, 2)])
+def test_what_was_set_before_a_list_is_not_taken_for_its_own(time: int, gain: int) -> None:
+    """A list changes one control alone while the other, which is later, is still on its way."""
+    changes = {"delay_frames": time, "gain_delay_frames": gain, "gain_maximum": 8.0}
+    model = Sensor.model_validate({**load_sensor("ideal-12").model_dump(), **changes})
+    with SimulatedCamera(load_scene("tile-floor", (30, 40)), model) as camera:
+
+        def setting(time_s: float, gain: float) -> ExposureSetting:
+            return ExposureSetting(camera.controls.time_s.nearest(time_s), gain)
+
+        def shoot(*settings: ExposureSetting) -> list[Frame]:
+            return list(camera.shoot(settings))
+
+        def check(frames: list[Frame]) -> None:
+            light = [float(frame.pixels.mean()) / frame.applied.exposure for frame in frames]
+            assert light == pytest.approx([light[0]] * len(light), rel=0.05)
+
+        rest = setting(camera.controls.frame_interval_s / 2, 1)
+        frames = shoot(setting(0.002, 4), setting(0.002, 1), setting(0.1, 1))[:2]
+        frames += shoot(rest, replace(rest, gain=2.0))[1:]  # after a long one it rests
+        with closing(camera.shoot([setting(0.002, 1), setting(0.002, 4)])) as cancelled:
+            next(cancelled)
+        frames += shoot(setting(0.002, 1), setting(0.004, 1))
+        cycle = camera.cycle([setting(0.002, 4), setting(0.004, 4)])
+        frames += islice(cycle, 8)
+        cycle.exchange([setting(0.004, 2), setting(0.002, 2)])
+        frames += islice(cycle, 8)
+        cycle.close()
+        check(frames)

@@ -77,7 +77,10 @@ class GigeCamera(Controllable):
         self._bootstrap = self._bootstrap_registers()
         self._lock = threading.RLock()  # of everything below
         self._values: dict[str, float] = {}
-        self._settings = DelayedSettings(_POWER_ON, config.delay, config.jitter, config.seed)
+        gain_delay = config.delay if config.gain_delay is None else config.gain_delay
+        self._settings = DelayedSettings(
+            _POWER_ON, config.delay, gain_delay, config.jitter, config.seed
+        )
         self._sequencer = Sequencer(config.sets, _POWER_ON, config.lead)
         self._chunks_on: set[int] = set()
         self._is_exposing, self._slot = False, 0
@@ -173,9 +176,10 @@ class GigeCamera(Controllable):
         if self.stream is not None:
             self.stream.lose_next = frames
 
-    def do_delay(self, frames: int, jitter: int = 0) -> None:
+    def do_delay(self, frames: int, jitter: int = 0, gain: int | None = None) -> None:
         """Let settings take effect at another frame."""
-        self._settings.delay, self._settings.jitter = frames, jitter
+        self._settings.delays = (frames, frames if gain is None else gain)
+        self._settings.jitter = jitter
 
     def do_light(self, factor: float = 1.0) -> None:
         """Multiply the light."""

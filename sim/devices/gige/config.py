@@ -17,7 +17,8 @@ class GigeConfig(DeviceConfig):
         ip: its address, one of this machine; GigE Vision has one control port, so that each camera
             needs its own
         fps: frames a second, at most
-        delay: control delay of exposure and gain, frames; -1: a setting acts on the running frame
+        delay: control delay, frames; -1: a setting acts on the running frame
+        gain_delay: of the gain; None: as of the exposure time
         jitter: up to so many frames are added to the delay at random
         readout_s: from the end of an exposure until its frame is sent
         has_trigger, has_chunks: there are software triggers, and chunk data
@@ -36,6 +37,7 @@ class GigeConfig(DeviceConfig):
     ip: str = Field(default="127.0.0.1", pattern=r"^127\.\d+\.\d+\.\d+$")
     fps: float = Field(default=50.0, ge=1, le=1000)
     delay: int = Field(default=0, ge=-1, le=8)
+    gain_delay: int | None = Field(default=None, ge=-1, le=8)
     jitter: int = Field(default=0, ge=0, le=8)
     readout_s: float = Field(default=0.001, ge=0, le=1)
     has_trigger: bool = True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -31,25 +31,32 @@ class DelayedSettings:
     Args:
         setting: in force at first
         delay: slots; 0: the first slot that has not begun has it; -1: the running one has it
+        gain_delay: of the gain
         jitter: up to so many more, at random
         seed: of the jitter
     """
 
-    def __init__(self, setting: Exposure, delay: int, jitter: int, seed: int) -> None:
+    def __init__(
+        self, setting: Exposure, delay: int, gain_delay: int, jitter: int, seed: int
+    ) -> None:
         self._now = setting
-        self._pending: deque[tuple[int, Exposure]] = deque()
+        self._pending: tuple[deque[tuple[int, Exposure]], ...] = (deque(), deque())
         self._random = random.Random(seed)
-        self.delay, self.jitter = delay, jitter
+        self.delays, self.jitter = (delay, gain_delay), jitter
 
     def write(self, setting: Exposure, upcoming: int) -> None:
         """Set what follows; `upcoming` is the first slot that has not begun."""
-        late = self.delay + self._random.randint(0, self.jitter)
-        self._pending.append((upcoming + late, setting))
+        more = self._random.randint(0, self.jitter)
+        for pending, delay in zip(self._pending, self.delays, strict=True):
+            pending.append((upcoming + delay + more, setting))
 
     def at(self, slot: int) -> Exposure:
         """Return the setting of a slot; slots must be asked for in their order."""
-        while self._pending and self._pending[0][0] <= slot:
-            self._now = self._pending.popleft()[1]
+        times, gains = self._pending
+        while times and times[0][0] <= slot:
+            self._now = replace(self._now, time_us=times.popleft()[1].time_us)
+        while gains and gains[0][0] <= slot:
+            self._now = replace(self._now, gain_db=gains.popleft()[1].gain_db)
         return self._now
 
 

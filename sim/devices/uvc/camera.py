@@ -155,6 +155,7 @@ class UvcCamera(UsbDevice):
             format=self.config.formats[form - 1],
             interval_s=interval / INTERVALS_PER_S,
             delay=self.config.delay,
+            gain_delay=self.config.gain_delay,
             jitter=self.config.jitter,
             is_limited=self.config.luma == "limited",
             seed=self.config.seed,
@@ -282,9 +283,9 @@ class UvcCamera(UsbDevice):
         with self.lock:
             return {"frames": list(self._log), "writes": list(self._writes)}
 
-    def do_delay(self, frames: int, jitter: int = 0) -> None:
-        """Change the control delay and its jitter, frames, from the next stream on."""
-        changes = {"delay": frames, "jitter": jitter}
+    def do_delay(self, frames: int, jitter: int = 0, gain: int | None = None) -> None:
+        """Change the control delays and their jitter, frames, from the next stream on."""
+        changes = {"delay": frames, "jitter": jitter, "gain_delay": gain}
         self.config = UvcConfig.parse({**self.config.model_dump(), **changes})
 
     def state(self) -> dict[str, Any]:

@@ -72,7 +72,8 @@ class UvcConfig(DeviceConfig):
         formats: names in `FORMATS`, the default first
         sizes: of frames, in addition to `size`, which is the default
         fps: frame rates, the default first
-        delay: control delay of exposure and gain, frames; -1: the running exposure has it already
+        delay: control delay, frames; -1: the running exposure has it already
+        gain_delay: of the gain; None: as of the exposure time
         jitter: up to so many frames are added to the delay at random
         luma: range of yuyv
     """
@@ -85,6 +86,7 @@ class UvcConfig(DeviceConfig):
     sizes: Annotated[tuple[FrameShape, ...], BeforeValidator(as_tuple)] = ()
     fps: Annotated[tuple[_FrameRate, ...], BeforeValidator(as_tuple), Field(min_length=1)] = (10.0,)
     delay: int = Field(default=2, ge=-1, le=30)
+    gain_delay: int | None = Field(default=None, ge=-1, le=30)
     jitter: int = Field(default=0, ge=0, le=30)
     luma: Literal["full", "limited"] = "limited"
 

@@ -30,7 +30,9 @@ class StreamMode:
     Attributes:
         format: name in `camctl.sim.devices.uvc.descriptors.FORMATS`
         interval_s: between frames
-        delay, jitter: control delay of exposure and gain, frames; up to so many more at random
+        delay: control delay, frames
+        gain_delay: of the gain; None: as of the exposure time
+        jitter: up to so many more at random
         is_limited: the luma of yuyv is mapped to 16..235
         seed: of the jitter
         setting: shutter time, s, and linear gain at the start
@@ -39,6 +41,7 @@ class StreamMode:
     format: str
     interval_s: float
     delay: int
+    gain_delay: int | None
     jitter: int
     is_limited: bool
     seed: int
@@ -108,6 +111,7 @@ class Stream:
                 "gain_maximum": 16.0,
                 "gain_step": 1 / 16,
                 "delay_frames": mode.delay,
+                "gain_delay_frames": mode.gain_delay,
                 "delay_jitter_frames": mode.jitter,
                 "frame_interval_s": mode.interval_s,
             }

@@ -139,6 +139,31 @@ def test_delay_is_measured_and_then_costs_n_plus_d_frames(
             assert len(device.do("log")["frames"]) - before == len(wanted) + expected
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("trigger", WAYS)
+@pytest.mark.parametrize(("delay", "gain"), [(0, 2), (2, 0), (-1, 3), (5, -1)])
+def test_delays_of_time_and_gain_are_used_apart(
+    aravis: Library, trigger: str, delay: int, gain: int
+) -> None:
+    """What is true of each frame is known from the virtual camera; chunks are off."""
+    with (
+        virtual_camera(delay=delay, gain_delay=gain, has_chunks=False) as device,
+        opened(device, aravis, trigger=trigger, fps="30") as camera,
+    ):
+        record = measure_delay(camera, trials=4)
+        least = 0 if trigger == "software" else -1
+        assert record.time == (max(delay, least),) * 2
+        assert record.gain == (max(gain, least),) * 2
+        plans = [(0.004, 1), (0.002, 1)], [(0.001, 4), (0.001, 2)], [(0.004, 1), (0.001, 4)]
+        for plan in plans:
+            wanted = [settings(camera, time_s, gain=more)[0] for time_s, more in plan]
+            frames = shot(camera, wanted)
+            check(device, frames, wanted)
+            log = {each["block"]: each["gain"] for each in device.do("log")["frames"]}
+            true = [log[frame.details["frame_id"]] for frame in frames]
+            assert [frame.applied.gain for frame in frames] == pytest.approx(true, rel=1e-6)
+
+
 def test_late_chunks_are_not_believed(aravis: Library) -> None:
     with virtual_camera(chunk_delay=1) as device, opened(device, aravis) as camera:
         camera.use_delay(MeasuredDelay(0, 0))

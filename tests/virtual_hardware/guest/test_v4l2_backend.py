@@ -18,6 +18,7 @@ from device_conformance import DeviceConformance
 from error_lines import one_line
 
 from camctl import CaptureRequest, capture, read_report
+from camctl.calibration.delay import measure_delay
 from camctl.errors import CameraError
 from camctl.interface.controls import ExposureSetting
 
@@ -147,7 +148,30 @@ class TestDelay:
             "the stream settles after each exposure"
         ) in notes
 
-    @pytest.mark.parametrize("delay", range(6))
+    @pytest.mark.parametrize(("time", "gain"), [(-1, 2), (2, 0)])
+    def test_delays_of_time_and_gain_are_measured_and_used_apart(
+        self, hub: rig.RecordingHub, time: int, gain: int
+    ) -> None:
+        with (
+            rig.control_delay(hub, rig.WEB, time, gain),
+            rig.open_device(rig.WEB, gain="linear:0.0625") as camera,
+        ):
+            record = measure_delay(camera, trials=4)
+            assert (record.time, record.gain) == ((time, time), (gain, gain))
+            times = camera.controls.time_s
+            for gains in ((1, 1, 1), (1, 2, 4), (4, 4, 1)):
+                settings = [
+                    ExposureSetting(times.nearest(0.004 / 2**step), float(gain))
+                    for step, gain in enumerate(gains)
+                ]
+                means = [
+                    float(frame.pixels.mean()) / frame.applied.exposure
+                    for frame in camera.shoot(settings)
+                ]
+                # Another setting than its own is a factor of 2 away, or more.
+                assert means == pytest.approx([means[0]] * 3, rel=0.2)
+
+    @pytest.mark.parametrize("delay", range(-1, 6))
     def test_n_exposures_cost_n_plus_d_frames(self, hub: rig.RecordingHub, delay: int) -> None:
         with rig.control_delay(hub, rig.WEB, delay):
             cost = rig.frame_cost(hub, rig.WEB)

@@ -126,25 +126,28 @@ def test_a_jpeg_is_near_the_pixels_of_the_sensor() -> None:
     assert abs(picture.astype(int) - expose(0.01, scale=scale)).max() < 16
 
 
-@pytest.mark.parametrize("delay", [0, 1, 4])
+@pytest.mark.parametrize(("delay", "gain"), [(-1, None), (0, 2), (1, -1), (4, 0), (2, 5)])
 def test_a_setting_written_in_slot_k_is_in_force_from_slot_k_plus_1_plus_delay(
-    delay: int,
+    delay: int, gain: int | None
 ) -> None:
-    camera, host = connected(delay=delay)
+    camera, host = connected(delay=delay, gain_delay=gain)
+    late = {"time_s": delay, "gain": delay if gain is None else gain}
     host.start()
-    skip(host, delay + 3)
-    for ticks in (30, 120, 60):
+    skip(host, 8)
+    for ticks, register in ((30, 16), (120, 4), (60, 48)):
         host.payload()
         # In the middle of a slot, not at its beginning.
         sleep(camera, FRAME_S / 2)
         host.set(TIME, ticks)
-    skip(host, delay + 4)
+        host.set(GAIN, register)
+    skip(host, 9)
     log = camera.do("log")
     by_slot = {frame["slot"]: frame for frame in log["frames"]}
-    for write, ticks in zip(log["writes"][-3:], (30, 120, 60), strict=True):
-        in_force = write["upcoming"] + delay
-        assert by_slot[in_force]["time_s"] == write["time_s"] == ticks / 10_000
-        assert by_slot[in_force - 1]["time_s"] != ticks / 10_000
+    for write in log["writes"][-5::2]:  # each control is a write of its own
+        for name, value in late.items():
+            in_force = write["upcoming"] + value
+            assert by_slot[in_force][name] == write[name]
+            assert by_slot[in_force - 1][name] != write[name]
     slots = [frame["slot"] for frame in log["frames"]]
     assert slots == list(range(slots[0], slots[0] + len(slots)))
 
