@@ -42,7 +42,7 @@ from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.effective import EffectiveCamera
 from camctl.model.response.desired import DesiredResponse
 
-VERSION = 2
+VERSION = 3
 """Part of the key of a kept point; it changes where the search finds other settings."""
 
 POINTS = 12
