@@ -10,8 +10,10 @@ view nearly all of the picture has another brightness, and of one out of focus n
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,13 +108,20 @@ def likenesses(patches: Sequence[Patches], colours: int, black: int, white: int)
         white: brightness from which samples are saturated, DN
     """
     order = sorted(range(len(patches)), key=lambda k: float(patches[k].mean()))
-    return {
-        pair: each
-        for place, dark in enumerate(order)
-        for pair in ((dark, bright) for bright in order[place + 1 : place + 1 + _NEXT])
-        if (each := _likeness(patches[pair[0]], patches[pair[1]], colours, black, white))
-        is not None
-    }
+    planes = [
+        [_Plane.of(plane, white) for plane in np.array_split(each, colours)] for each in patches
+    ]
+    found = {}
+    for place, dark in enumerate(order):
+        for bright in order[place + 1 : place + 1 + _NEXT]:
+            compared = [
+                _compared(*each, white) for each in zip(planes[dark], planes[bright], strict=True)
+            ]
+            deviations = partial(_deviations, patches[dark], patches[bright], colours, black, white)
+            alike = _likeness(np.concatenate(compared, axis=1), deviations)
+            if alike is not None:
+                found[dark, bright] = alike
+    return found
 
 
 def unlike_others(found: Likenesses, count: int) -> dict[int, Finding]:
@@ -184,13 +193,14 @@ def _largest_group(count: int, links: Iterable[tuple[int, int]]) -> set[int]:
     return max(groups, key=len)
 
 
-def _likeness(
-    dark: Patches, bright: Patches, colours: int, black: int, white: int
-) -> Likeness | None:
-    """Return how much two photographs are alike; None: they show no fine structure in common."""
-    planes = [np.array_split(each, colours) for each in (dark, bright)]
-    compared = [_compared(planes[0][k], planes[1][k], white) for k in range(colours)]
-    correlations, contrasts = np.concatenate(compared, axis=1)
+def _likeness(compared: _Floats, deviations: Callable[[], tuple[float, float]]) -> Likeness | None:
+    """Return how much two photographs are alike; None: they show no fine structure in common.
+
+    Args:
+        compared: correlation and contrast of their patches, (2, patches)
+        deviations: returns the shares of what deviates in brightness, and of what does not
+    """
+    correlations, contrasts = compared
     if correlations.size < _FEWEST:
         return None
     correlation, best = np.quantile(correlations, (0.5, 0.75)).tolist()
@@ -198,7 +208,7 @@ def _likeness(
     alike = Likeness(correlation, best, (low, middle, high), 0.0, 1.0)
     if alike.is_same and high >= _LESS_SHARP:
         return alike  # nothing is asked of the brightness of such a pair
-    deviating, agreeing = _deviations(dark, bright, colours, black, white)
+    deviating, agreeing = deviations()
     return alike._replace(deviating=deviating, agreeing=agreeing)
 
 
@@ -217,15 +227,42 @@ def _deviations(
     return float(shares[0]), float(shares[1])
 
 
-def _compared(dark: Patches, bright: Patches, white: int) -> _Floats:
+@dataclass(frozen=True, eq=False)
+class _Plane:
+    """Patches of one colour of a photograph, and what each of its comparisons needs.
+
+    Attributes:
+        patches: of it
+        is_lit, is_unsaturated: whether all samples of a patch are
+        ranks: of each brightness, see `_ranks`
+        structure: of each patch, see `_structure`
+    """
+
+    patches: Patches
+    is_lit: NDArray[np.bool_]
+    is_unsaturated: NDArray[np.bool_]
+    ranks: _Floats
+    structure: _Floats
+
+    @classmethod
+    def of(cls, patches: Patches, white: int) -> _Plane:
+        """Return those of patches."""
+        return cls(
+            patches,
+            patches.min(axis=1) > _BLACK * white,
+            patches.max(axis=1) < _SATURATED * white,
+            _ranks(patches, white),
+            _structure(patches),
+        )
+
+
+def _compared(dark: _Plane, bright: _Plane, white: int) -> _Floats:
     """Return correlation and contrast of each patch that has structure, (2, patches)."""
-    usable = (bright.max(axis=1) < _SATURATED * white) & (dark.min(axis=1) > _BLACK * white)
+    usable = bright.is_unsaturated & dark.is_lit
     if not usable.any():
         return np.empty((2, 0))
-    matched = np.interp(_ranks(bright, white), _ranks(dark, white), np.arange(white + 1))
-    seen, expected = (
-        _structure(each) for each in (dark[usable].astype(np.float64), matched[bright[usable]])
-    )
+    matched = np.interp(bright.ranks, dark.ranks, np.arange(white + 1))
+    seen, expected = dark.structure[usable], _structure(matched.take(bright.patches[usable]))
     variances = [np.mean(each**2, axis=1) for each in (seen, expected)]
     # Structure that only the darker one has may be its noise.
     has = variances[1] > (_STRUCTURE * white) ** 2
@@ -241,12 +278,14 @@ def _ranks(samples: Patches, white: int) -> _Floats:
     return (np.cumsum(counts) - counts / 2) / samples.size
 
 
-def _structure(patches: _Floats) -> _Floats:
+def _structure(patches: NDArray[Any]) -> _Floats:
     """Return means of small squares of each patch, without the mean of the patch."""
     side = math.isqrt(patches.shape[1])
     cut = side - side % _POOLED
     squares = patches.reshape(-1, side, side)[:, :cut, :cut]
-    half = cut // _POOLED
-    small = squares.reshape(-1, half, _POOLED, half, _POOLED).mean(axis=(2, 4))
-    small = small.reshape(len(small), -1)
+    small = np.zeros((len(squares), cut // _POOLED, cut // _POOLED))
+    for row in range(_POOLED):
+        for column in range(_POOLED):
+            small += squares[:, row::_POOLED, column::_POOLED]
+    small = small.reshape(len(small), -1) / _POOLED**2
     return np.asarray(small - small.mean(axis=1, keepdims=True))

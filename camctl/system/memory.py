@@ -6,7 +6,6 @@ All is for the GNU C library; others have no such functions, and nothing is done
 from __future__ import annotations
 
 import ctypes
-import os
 from contextlib import suppress
 
 #: `M_ARENA_MAX`, `M_MMAP_MAX`, `M_MMAP_THRESHOLD` and `M_TRIM_THRESHOLD` of malloc.h.
@@ -16,11 +15,10 @@ _MOST_POOLS, _MOST_MAPPED, _LEAST_MAPPED, _LEAST_RETURNED = -8, -4, -3, -1
 def use_little_memory() -> None:
     """Keep little memory that is free, for a process that mostly waits.
 
-    One heap for all threads, and none for OpenBLAS's threads; an array from 128 kB up goes back to
-    the system as soon as it is free, which is the C library's own threshold that it would raise.
-    Takes effect where it is called before numpy is imported and before threads are started.
+    One heap for all threads; an array from 128 kB up goes back to the system as soon as it is free,
+    which is the C library's own threshold that it would raise.  Takes effect where it is called
+    before threads are started.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).mallopt(_LEAST_MAPPED, 1 << 17)
     share_free_memory()
