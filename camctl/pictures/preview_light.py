@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import reduce
 from typing import Any
 
@@ -40,6 +40,8 @@ class Light:
         dark: share of the samples that are too dark
         unlit: share of the samples without any light
         white: share of the pixels of which every channel is saturated
+        curves: light of each brightness, black included, of R, G and B, by which the camera
+            developed its pictures; empty: none did
     """
 
     irradiance: Floats
@@ -48,6 +50,7 @@ class Light:
     dark: NDArray[np.uint8]
     unlit: NDArray[np.uint8]
     white: NDArray[np.uint8]
+    curves: tuple[NDArray[np.float64], ...] = field(default=(), kw_only=True)
 
 
 class LightReducer:
@@ -58,15 +61,24 @@ class LightReducer:
         columns: of the picture
         full: least irradiance of samples that every frame saturated
         side: most pixels a side; None: `PREVIEW_SIDE`
+        curves: see `Light`
     """
 
-    def __init__(self, rows: int, columns: int, full: float, side: int | None = None) -> None:
+    def __init__(
+        self,
+        rows: int,
+        columns: int,
+        full: float,
+        side: int | None = None,
+        curves: tuple[NDArray[np.float64], ...] = (),
+    ) -> None:
         # What is saturated was rounded to so many bits as noise allows.
         self._full = np.float32(full * (1 - _ROUNDED))
         self._step = -(-max(rows, columns) // (side or PREVIEW_SIDE))
         self._shape = max(1, rows // self._step), max(1, columns // self._step)
         self._rest: tuple[NDArray[Any], ...] = ()
         self._light: Light | None = None
+        self._curves = curves
         self._done = 0
 
     def add(self, strip: Strip) -> None:
@@ -115,7 +127,7 @@ class LightReducer:
             shape = (*self._shape, channels)
             irradiance, noise = np.empty(shape, np.float32), np.empty(shape, np.float32)
             shares = (np.empty(self._shape, np.uint8) for _ in range(4))
-            self._light = Light(irradiance, noise, *shares)
+            self._light = Light(irradiance, noise, *shares, curves=self._curves)
         light, place = self._light, slice(self._done, self._done + rows)
         self._done += rows
         for channel in range(channels):

@@ -22,6 +22,7 @@ from camctl.interface.colour import CameraColour
 from camctl.interface.controls import Layout
 from camctl.model.inverse import Posterior
 from camctl.model.response.desired import DesiredResponse
+from camctl.model.sensor import SensorModel
 from camctl.pictures.colour import deviation_in_bt709, in_gamut, to_bt709
 from camctl.pictures.frame_light import FrameLight
 from camctl.pictures.ghosts import Ghosts
@@ -249,6 +250,15 @@ class Rendering:
     def full(self) -> float:
         """The least irradiance in the pictures where every frame is saturated."""
         return min(table.full for table in self.tables) / self.light.unit
+
+    @property
+    def curves(self) -> tuple[NDArray[np.float64], ...]:
+        """Light of each brightness of R, G and B where the frames are developed; empty: not."""
+        is_developed = self.colour is not None and not self.colour.xyz_to_camera
+        if self.layout is not Layout.RGB or not is_developed:
+            return ()
+        responses = [part.response for part, _ in self.light.parts]
+        return tuple(SensorModel(each, self.light.white - each.M).light for each in responses)
 
     @cached_property
     def deviations_are_halves(self) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,6 +13,8 @@ from picture_parts import light_of
 from sampling import some
 
 import camctl
+from camctl.model.response.camera import CameraResponse
+from camctl.model.sensor import SensorModel
 from camctl.pictures import preview_light
 from camctl.pictures.preview import srgb_codes, tone_map
 from camctl.pictures.preview_light import ALL, Light, LightReducer
@@ -92,6 +96,24 @@ def test_colours_keep_their_hue_over_decades(colour: list[float], decades: float
     column = np.geomspace(1.0, 10.0**decades, 64)[:, np.newaxis, np.newaxis]
     light = np.broadcast_to(column * np.array(colour), (64, 48, 3)).copy()
     ratios_of(light, tone_map(light_of(light)))
+
+
+def test_developed_pictures_keep_the_colours_that_the_curve_of_the_camera_made() -> None:
+    """They are the camera's own in the exposure in which the largest channel is as bright."""
+    light = np.random.default_rng(2).uniform(0.05, 1, (6, 8, 3)).repeat(8, 0).repeat(8, 1)
+    brightness = np.linspace(0, 1, 255)
+    black, levels = 16, brightness[: 255 - 16] ** 2.2 * (0.3 + 0.7 * brightness[: 255 - 16] ** 4)
+    steep = CameraResponse(levels / levels[-1], "with a shoulder")
+    shown = tone_map(replace(light_of(light), curves=(SensorModel(steep, black).light,) * 3))
+    exposures = np.geomspace(0.01, 20, 4000)[:, np.newaxis, np.newaxis]
+    pictures = black + np.searchsorted(steep.levels, exposures * light[4::8, 4::8].reshape(-1, 3))
+    for picture, found in zip(
+        pictures.swapaxes(0, 1), shown[4::8, 4::8].reshape(-1, 3).astype(int), strict=True
+    ):
+        nearest = picture[np.abs(picture.max(axis=1) - found.max()).argmin()]
+        assert np.abs(nearest - found).max() <= 3
+    plain = tone_map(light_of(light)).astype(int)
+    assert np.percentile(np.abs(shown.astype(int) - plain), 90) > 15
 
 
 def test_saturated_light_is_white_whatever_its_channels_say() -> None:
