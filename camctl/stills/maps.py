@@ -72,7 +72,7 @@ def tiff_shape(path: Path) -> Shape:
     import tifffile
 
     with tifffile.TiffFile(path) as file:
-        return tuple(_series(file).shape)
+        return tuple(_first(file).shape)
 
 
 def read_tiff(path: Path) -> Map:
@@ -80,26 +80,34 @@ def read_tiff(path: Path) -> Map:
     import tifffile
 
     with tifffile.TiffFile(path) as file:
-        series = _series(file)
-        values = np.asarray(series.asarray())
-        axes = series.axes
+        page = _first(file)
+        values, axes = np.asarray(page.asarray(maxworkers=1)), page.axes
+        notes = ("only the first of several pictures was read",) if _has_more(file) else ()
     if values.ndim == 3 and axes[0] in "SC" and values.shape[0] in (1, 3):
         values = np.moveaxis(values, 0, -1)  # stored as separate planes
     if values.ndim == 3 and values.shape[2] == 4:
-        return values[..., :3], ("the fourth channel was taken as opacity and ignored",)
-    return values, ()
+        opaque = "the fourth channel was taken as opacity and ignored"
+        return values[..., :3], (*notes, opaque)
+    return values, notes
 
 
-def _series(file: Any) -> Any:
+def _first(file: Any) -> Any:
     """Return the first picture of a `tifffile.TiffFile`; raise `ValueError` where strips lack.
 
-    tifffile would go through all that are missing, and a short file may state millions.
+    tifffile would go through all that are missing, and a short file may state millions.  So it may
+    with pictures: nothing here may ask how many there are, as `TiffFile.series` does.
     """
-    series = file.series[0]
-    page = series.keyframe
+    page = file.pages.first
     if len(page.dataoffsets) < math.prod(page.chunked):
         raise ValueError("most of its samples are missing")
-    return series
+    return page
+
+
+def _has_more(file: Any) -> bool:
+    try:
+        return file.pages[1] is not None
+    except Exception:  # damage after the first picture does not matter
+        return False
 
 
 def _channels(path: Path) -> dict[str, NDArray[Any]]:

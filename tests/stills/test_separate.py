@@ -7,6 +7,7 @@ import os
 import resource
 import struct
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -180,6 +181,41 @@ def test_hostile_tiff_maps_are_refused_at_once(tmp_path: Path) -> None:
         with pytest.raises(DataError):
             read_tiff(path)
     assert peak_memory() - before < 64 << 10
+
+
+_ENDLESS_PAGES = bytes.fromhex(
+    "49492a0008000000130000010400010000000800000001010400010000000600000002010300010000001000"
+    "00000301030001000000010000000601030001000000010000000e01020054000000f20000000f0102000700"
+    "00004601000010010200130000004e0100001101040001000000b00100001501030001000000010000001601"
+    "040001000000060000001701040001000000600000001a01050001000000620100001b010500010000006a01"
+    "0000280103000100000001000000310102000d0049492a000800000013000001040001000000080000000101"
+    "0400010000000600000002010300010000001000000003010000720100003201020014000000800300010000"
+    "01"
+)
+"""265 bytes that atheris found: tifffile makes pages of them for more than a minute."""
+
+
+def test_a_short_tiff_file_of_endless_pages_takes_no_time(tmp_path: Path) -> None:
+    path = tmp_path / "sum.tiff"
+    path.write_bytes(_ENDLESS_PAGES)
+    began = time.process_time()
+    with pytest.raises(ValueError, match="failed to read 96 bytes"):
+        maps.read_tiff(path)
+    assert maps.tiff_shape(path) == (6, 8)
+    assert time.process_time() - began < 5
+    with pytest.raises(DataError, match="failed to read 96 bytes"):
+        read_tiff(path)
+
+
+def test_of_several_pictures_in_a_tiff_file_the_first_one_is_read(tmp_path: Path) -> None:
+    import tifffile
+
+    with tifffile.TiffWriter(tmp_path / "a.tiff") as file:
+        for light in (1, 2):
+            file.write(np.full((4, 6), light, np.float32), contiguous=False, metadata=None)
+    values, notes = read_map(tmp_path / "a.tiff")
+    assert values.tolist() == np.ones((4, 6)).tolist()
+    assert notes == ("only the first of several pictures was read",)
 
 
 def test_a_copy_of_the_process_asks_decoders_of_its_own(tmp_path: Path) -> None:
