@@ -2,57 +2,52 @@
 
 from __future__ import annotations
 
-import math
 import shutil
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from camctl.captures.metering import MeteringFrames, meter
 from camctl.errors import (
     CamctlError,
     CameraError,
     CaptureError,
-    InterruptedCaptureError,
     StorageError,
     UsageError,
 )
-from camctl.exposure.brackets import OFFERED, bracket
-from camctl.exposure.goal import AUTO, CaptureRequest
+from camctl.exposure.goal import CaptureRequest
 from camctl.interface.backends import list_cameras
-from camctl.interface.camera import Camera, CameraCondition, Frame, PreviewingCamera, StatingCamera
-from camctl.interface.controls import ExposureSetting
+from camctl.interface.camera import Camera, CameraCondition, PreviewingCamera, StatingCamera
 from camctl.menu.capture_list import list_captures, next_folder
+from camctl.menu.costs import Costs, RememberedPreviews, planned
 from camctl.menu.data import (
+    Calibrated,
     CameraEntry,
     Choice,
     Cost,
     Loaded,
     Past,
-    Picture,
     Plan,
     Progress,
     Reading,
-    Rival,
     SeriesChoice,
     Settings,
     Summary,
     Traced,
 )
+from camctl.menu.entries import TOGETHER
 from camctl.menu.live_view import LiveView, Sight
 from camctl.menu.settings_file import load_settings, save_settings
-from camctl.menu.thumbnails import focus_value, frame_histogram, frame_picture, sampled_picture
+from camctl.menu.several import Others, Take, take_together
+from camctl.menu.thumbnails import focus_value, frame_histogram, frame_picture
 from camctl.menu.views import (
     entry_of,
     needed_bytes,
     plan_view,
     progress_view,
-    setting_text,
     summary_view,
 )
 from camctl.messages.menu import error_text
@@ -60,21 +55,13 @@ from camctl.system.files import check_space
 from camctl.system.memory import return_free_memory
 
 if TYPE_CHECKING:  # the idle menu does not load what captures are made with
-    from camctl.captures.response_preview import PreviewedLight
-    from camctl.exposure.search.front import Front, FrontPoint
-    from camctl.records.capture_plan import CapturePlan
     from camctl.records.report import CaptureReport
 
-OpenCamera = Callable[[str], tuple[Camera, Mapping[str, Any]]]
-"""Returns an open camera for an id, "" the default one, and what a report keeps of it."""
+OpenCamera = Callable[..., tuple[Camera, Mapping[str, Any]]]
+"""Returns an open camera for an id, "" the default one, and what a report keeps of it; a
+calibration has a second argument, the parts of the camera's profile to use."""
 
 _Result = TypeVar("_Result")
-
-_PREVIEW_S, _PREVIEW_AGE_S = 1.0, 30.0
-"""Longest preview frame for pictures of choices, s: they are waited for, as the exposure meter is;
-and the time for which they serve the next choice, too."""
-_PREVIEW_SIDE = 480
-"""Pixels of the longest side of such a picture: half a phone's width, two device pixels each."""
 
 
 class CameraJob:
@@ -107,8 +94,8 @@ class CameraJob:
         self._entry = CameraEntry("", "")
         self._condition = CameraCondition()
         self._sight = sight
-        self._previewed: PreviewedLight | None = None
-        self._previewed_until_s = -math.inf
+        self._others = Others()
+        self._costs = Costs(has_pictures=sight is not None)
         self._view = LiveView(sight)
         self._best_focus = 0.0
 
@@ -123,14 +110,17 @@ class CameraJob:
 
     def find_cameras(self) -> tuple[CameraEntry, ...]:
         found = tuple(entry_of(info) for info in list_cameras())
-        known = {each.id for each in found}
-        return found if not self._entry.id or self._entry.id in known else (self._entry, *found)
+        opened = () if self._camera is None else (self._camera, *self._others.cameras)
+        entries = [entry_of(each.info) for each in opened]
+        return (*(each for each in entries if each not in found), *found)
 
     def open(self, camera_id: str) -> CameraEntry:
         self.close()
         self._camera_id = camera_id
-        self._camera, self._source = self._open_camera(camera_id)
-        self._entry = entry_of(self._camera.info)
+        first, *others = camera_id.split(TOGETHER)
+        self._camera, self._source = self._open_camera(first)
+        self._others.open(others, self._open_camera)
+        self._entry = entry_of(self._camera.info, *(each.info for each in self._others.cameras))
         self._best_focus = 0.0
         self._ask_condition()
         return_free_memory()
@@ -146,7 +136,8 @@ class CameraJob:
     def close(self) -> None:
         """Close the camera; errors of one that was unplugged are left out."""
         self._view.end()
-        self._previewed_until_s = -math.inf
+        self._costs.forget()
+        self._others.close()
         camera, self._camera = self._camera, None
         if camera is not None:
             with suppress(CameraError):
@@ -189,8 +180,7 @@ class CameraJob:
         reading = Reading(
             free_bytes=self._free_bytes(),
             camera=self._entry,
-            battery_percent=self._condition.battery_percent,
-            free_images=self._condition.free_images,
+            **vars(self._condition),
         )
         if not isinstance(camera, PreviewingCamera):
             return replace(reading, is_late=True)
@@ -218,102 +208,23 @@ class CameraJob:
 
     def predict(self, choices: Sequence[Choice], cancelled: Callable[[], bool]) -> Iterator[Cost]:
         """Yield the cost of the plan of each choice, all from the same metering frames."""
-        self._view.end()
-        if self._camera is None:
-            self.open(self._camera_id)
-        assert self._camera is not None  # it was opened
-        camera = self._camera
-        if isinstance(camera, PreviewingCamera):
-            camera = _RememberedPreviews(camera)
+        camera = self._with_camera(
+            lambda found: (
+                RememberedPreviews(found) if isinstance(found, PreviewingCamera) else found
+            )
+        )
         for choice in choices:
             if cancelled():
                 return
-            yield self._cost(camera, choice, cancelled)
-
-    def _cost(self, camera: Camera, choice: Choice, cancelled: Callable[[], bool]) -> Cost:
-        request = self._request_for(choice)
-        is_relative = not isinstance(camera, PreviewingCamera) and request.base_s is None
-        if is_relative:  # any base exposure shows the relative ones
-            if AUTO in (request.response, request.dynamic_range):
-                return Cost(problem="known once the light is metered")
-            base_s = camera.controls.time_s.nearest(1 / 60)
-            request = replace(request, base_s=base_s)
-        try:
-            plan = _planned(camera, request, cancelled)
-        except CameraError:
-            self.close()  # it is opened again by what comes next
-            raise
-        except (UsageError, CaptureError) as error:
-            return Cost(problem=error.what)
-        shutter_s = plan.shutter_s / plan.base_s if is_relative else plan.shutter_s
-        draw = None
-        if (light := self._previewed_light(camera, plan)) is not None:
-            shown = light.panel(plan.response, plan).stored
-            draw = None if shown is None else partial(sampled_picture, shown, _PREVIEW_SIDE)
-        return Cost(
-            len(plan.settings),
-            shutter_s,
-            None if is_relative else plan.wall_s,
-            plan.effective_levels,
-            plan.noise is not None,
-            is_relative,
-            draw=draw,
-        )
-
-    def _previewed_light(self, camera: Camera, plan: CapturePlan) -> PreviewedLight | None:
-        """Return the light for pictures of choices, of preview frames that are not old."""
-        if self._sight is None or not isinstance(camera, PreviewingCamera):
-            return None
-        if time.monotonic() > self._previewed_until_s:
-            from camctl.captures.response_preview import PreviewedLight, preview_settings
-
-            shortest = plan.settings[0]
-            longest = shortest.exposure * max(1.0, _PREVIEW_S / shortest.time_s)
-            settings = preview_settings(camera.controls, shortest, longest)
-            self._previewed = PreviewedLight.of(camera, settings)
-            self._previewed_until_s = time.monotonic() + _PREVIEW_AGE_S
-        return self._previewed
+            try:
+                yield self._costs.of(camera, self._request_for(choice), cancelled)
+            except CameraError:
+                self.close()  # it is opened again by what comes next
+                raise
 
     def trace(self, choice: Choice, cancelled: Callable[[], bool]) -> Traced:
-        """Return the most accurate settings for each time, and brackets to compare them with.
-
-        The brackets are there for a page only, as are the pictures.
-
-        Raises:
-            UsageError: the noise of the camera is unknown
-        """
         request = self._request_for(choice)
-
-        def plan_with(camera: Camera) -> tuple[CapturePlan, PreviewedLight | None]:
-            plan = _planned(camera, request, cancelled)
-            return plan, self._previewed_light(camera, plan)
-
-        plan, light = self._with_camera(plan_with)
-        front = plan.front
-        if front is None:
-            raise UsageError(
-                "the noise of this camera is unknown, and with it what accuracy costs",
-                remedies={"calibrate_noise": None},
-            )
-
-        def point_cost(point: FrontPoint) -> Cost:
-            draw = None
-            if light is not None:
-                draw = partial(_noisy_picture, light, replace(plan, settings=point.settings))
-            return Cost(
-                point.n,
-                sum(setting.time_s for setting in point.settings),
-                point.time_s,
-                point.levels,
-                noise_known=True,
-                dynamic_range=plan.dynamic_range,
-                is_recommended=point == front.recommended,
-                frames=tuple(map(setting_text, point.settings)),
-                draw=draw,
-            )
-
-        points = tuple(map(point_cost, front.points))
-        return Traced(points, () if self._sight is None else tuple(_rivals(front, cancelled)))
+        return self._with_camera(lambda camera: self._costs.trace(camera, request, cancelled))
 
     def plan(self, choice: Choice, cancelled: Callable[[], bool]) -> Plan:
         """Meter, look up the exposures, and choose among the settings of the camera.
@@ -324,8 +235,9 @@ class CameraJob:
         request = self._request_for(choice)
 
         def plan_with(camera: Camera) -> Plan:
-            plan = _planned(camera, request, cancelled)
+            plan = planned(camera, request, cancelled)
             needed, free = needed_bytes(plan, camera.controls), self._free_bytes()
+            needed *= 1 + len(self._others.takes(plan, request))  # all must be able to shoot it
             check_space("the capture", needed, free)
             return replace(plan_view(plan, request), needed_bytes=needed, free_bytes=free)
 
@@ -337,24 +249,14 @@ class CameraJob:
         on_progress: Callable[[Progress], None],
         cancelled: Callable[[], bool],
     ) -> Summary:
-        """Shoot the settings of `plan` into a new folder."""
-        from camctl.captures.sequencer import capture
-
+        """Shoot the settings of `plan` into a new folder, with each camera into one of its own."""
         assert isinstance(plan.handle, tuple)  # `plan_view` made it
         made, request = plan.handle
-        folder = next_folder(self._parent, datetime.now())
 
         def shoot_with(camera: Camera) -> Summary:
-            report = capture(
-                camera,
-                request,
-                folder,
-                plan=made,
-                source=self._source,
-                progress=lambda each: on_progress(progress_view(each)),
-                cancelled=cancelled,
-            )
-            return summary_view(report, folder)
+            first = Take(camera, self._source, made, request)
+            takes = (first, *self._others.takes(made, request))
+            return take_together(takes, self._parent, on_progress, cancelled)
 
         return self._taken(shoot_with)
 
@@ -394,6 +296,10 @@ class CameraJob:
         """Take a series into a new folder, as ``camctl series`` does."""
         from camctl.menu.series_job import take_series
 
+        if self._others.cameras:
+            raise UsageError(
+                "a series is taken with one camera", hint="choose one", remedies={"cameras": None}
+            )
         directory = next_folder(self._parent, datetime.now(), "series")
         request = self._request_for(series.choice)
 
@@ -403,6 +309,21 @@ class CameraJob:
             )
 
         return self._taken(take_with)
+
+    def calibrate(
+        self,
+        scene: str,
+        on_progress: Callable[[Progress], None],
+        cancelled: Callable[[], bool],
+    ) -> Calibrated:
+        """Measure the first camera, which is opened again by what comes next, with the results."""
+        from camctl.menu.calibration_job import measure
+
+        self.close()
+        first = self._camera_id.split(TOGETHER)[0]
+        return measure(
+            lambda parts: self._open_camera(first, parts)[0], scene, on_progress, cancelled
+        )
 
     def captures(self) -> tuple[Past, ...]:
         try:
@@ -434,53 +355,3 @@ class CameraJob:
             path for path in (self._parent, *self._parent.absolute().parents) if path.exists()
         )
         return shutil.disk_usage(existing).free
-
-
-def _planned(camera: Camera, request: CaptureRequest, cancelled: Callable[[], bool]) -> CapturePlan:
-    from camctl.captures.plan import plan_capture
-
-    def stop_if_cancelled(_: float) -> None:
-        if cancelled():
-            raise InterruptedCaptureError("the menu went on")
-
-    return plan_capture(camera, request, progress=stop_if_cancelled)
-
-
-class _RememberedPreviews:
-    """A `camctl.PreviewingCamera` that takes each preview of an open camera once.
-
-    So several plans come from the same light.  It does not close that camera.
-    """
-
-    def __init__(self, camera: PreviewingCamera) -> None:
-        self.info, self.controls, self.clock = camera.info, camera.controls, camera.clock
-        self.shoot, self._take = camera.shoot, camera.preview
-        self._frames: dict[ExposureSetting, Frame] = {}
-
-    def preview(self, setting: ExposureSetting) -> Frame:
-        if setting not in self._frames:
-            self._frames[setting] = self._take(setting)
-        return self._frames[setting]
-
-    def close(self) -> None:
-        self._frames.clear()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-
-def _noisy_picture(light: PreviewedLight, plan: CapturePlan) -> Picture:
-    return sampled_picture(light.noisy_picture(plan), _PREVIEW_SIDE)
-
-
-def _rivals(front: Front, cancelled: Callable[[], bool]) -> Iterator[Rival]:
-    """Yield what brackets that cameras offer bring, but for those beyond the camera."""
-    for count, stops in OFFERED:
-        if cancelled():
-            return
-        with suppress(CaptureError):
-            settings = bracket(front.controls, front.limit_s, count, stops)
-            yield Rival(count, stops, front.time_of(settings), front.levels_of(settings))

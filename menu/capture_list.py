@@ -22,10 +22,13 @@ _FIRST_YEAR = 2026
 _MOST_LISTED = 100  # the newest ones
 
 
-def next_folder(parent: Path, now: datetime, kind: str = "capture") -> Path:
-    """Return the path of the next folder in `parent`, of a "capture" or a "series"."""
+def next_folder(parent: Path, now: datetime, kind: str = "capture", place: int = 0) -> Path:
+    """Return the path of the next folder in `parent`, of a "capture" or a "series".
+
+    Of several that begin together, each has its place, from 0 on.
+    """
     names = [path.name for path in parent.iterdir()] if parent.is_dir() else []
-    number = 1 + max((_number(name) for name in names), default=0)
+    number = 1 + place + max((_number(name) for name in names), default=0)
     date = f"-{now:%Y%m%d-%H%M%S}" if now.year >= _FIRST_YEAR else ""
     return parent / f"{kind}-{number:04d}{date}"
 

@@ -176,8 +176,8 @@ class Reading:
         is_late: it has no preview, and the light is metered when the capture is planned
         remark: why the light cannot be measured; "" where it can
         rate: pictures a second of the effective camera, live; None: it is a metering frame
-        battery_percent, free_images: charge of the camera's battery, and room on its card, after
-            it was opened or took pictures; None: it does not state them
+        battery_percent, free_images, lens, mode: charge of the camera's battery, room on its card,
+            lens and mode dial, after it was opened or took pictures; None: it does not state them
         focus: how sharp the middle of the picture is, see `camctl.menu.thumbnails.focus_value`
         focus_percent: the same, of the sharpest since the camera was opened; None: unknown
     """
@@ -193,6 +193,8 @@ class Reading:
     rate: float | None = None
     battery_percent: int | None = None
     free_images: int | None = None
+    lens: str | None = None
+    mode: str | None = None
     focus: float | None = None
     focus_percent: int | None = None
 
@@ -234,12 +236,23 @@ class Plan:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a capture is: `done` of `total` in a stage; `share` of its time is over, 0 to 1."""
+    """How far a capture is: `done` of `total` in a stage; `share` of its time is over, 0 to 1.
+
+    A calibration has the name of its step as the stage, and in `lines` the results so far.
+    """
 
     done: int
     total: int
     stage: str
     share: float = 0.0
+    lines: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """What a calibration has measured, one line for each step."""
+
+    lines: tuple[str, ...]
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,8 @@ from camctl.menu.tables import STATES
 from camctl.menu.text import format_levels, format_short_time
 from camctl.system.number_text import range_text
 
+TOGETHER = " + "
+"""Between the ids of cameras that take each picture together."""
 #: Share of a point's time that its plan may take: the light is metered again, with noise.
 _AGAIN = 1.02
 
@@ -84,6 +86,10 @@ INTERVALS = (
 REPEATS = tuple(
     Entry((f"{n} pictures",), n) for n in (2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
 )
+CALIBRATIONS = _entries(
+    ("still", "Still scene: response and noise", "Still scene"),
+    ("covered", "Lens covered: dark signal", "Lens covered"),
+)
 MAIN_MENU = tuple(
     Entry((label,), action=action)
     for label, action in (
@@ -91,6 +97,7 @@ MAIN_MENU = tuple(
         ("Series", Action.SERIES),
         ("Captures", Action.CAPTURES),
         ("Camera", Action.OTHER),
+        ("Calibration", Action.CALIBRATE),
         ("Settings", Action.SETTINGS),
         ("About", Action.ABOUT),
         ("Quit", Action.QUIT),
@@ -119,7 +126,13 @@ def rows(model: Model) -> tuple[Entry, ...]:
     """Return the entries of the list that is shown; () on other screens."""
     match model.state:
         case State.CAMERAS:
-            return tuple(Entry((each.name, each.id), each.id) for each in model.cameras)
+            found = tuple(Entry((each.name, each.id), each.id) for each in model.cameras)
+            several = Entry(("Several at once ...", "Several ..."), action=Action.SEVERAL)
+            return (*found, several) if len(found) > 1 else found
+        case State.SEVERAL:
+            return _markable(model)
+        case State.CALIBRATION:
+            return CALIBRATIONS
         case State.CAPTURES:
             return tuple(
                 Entry(
@@ -145,6 +158,26 @@ def _changeable(settings: Settings, names: tuple[str, ...]) -> tuple[Entry, ...]
     """Return an entry for each of these settings, which the enter key changes."""
     return tuple(
         Entry(KEPT[name][getattr(settings, name)].labels, name, Action.CHANGE) for name in names
+    )
+
+
+def chosen_cameras(model: Model) -> tuple[str, ...]:
+    """Return the ids of the cameras that are to take pictures together: all if none is marked."""
+    ids = tuple(each.id for each in model.cameras if TOGETHER not in each.id)
+    return tuple(each for each in ids if each in model.marked) or ids
+
+
+def _markable(model: Model) -> tuple[Entry, ...]:
+    cameras = [each for each in model.cameras if TOGETHER not in each.id]
+    marks = ["[x] " if each.id in model.marked else "[ ] " for each in cameras]
+    count = len(chosen_cameras(model))
+    which = "these" if model.marked else "all"
+    return (
+        *(
+            Entry((mark + each.name, mark + each.id[-10:]), each.id, Action.CHANGE)
+            for mark, each in zip(marks, cameras, strict=True)
+        ),
+        Entry((f"Use {which} {count}",), action=Action.START),
     )
 
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 from camctl.menu.data import (
+    Calibrated,
     CameraEntry,
     Cost,
     Loaded,
@@ -22,7 +23,18 @@ from camctl.menu.data import (
     Summary,
     Traced,
 )
-from camctl.menu.entries import KEPT, TIMERS, choice, requested, rows, seconds, series
+from camctl.menu.entries import (
+    CALIBRATIONS,
+    KEPT,
+    TIMERS,
+    TOGETHER,
+    choice,
+    chosen_cameras,
+    requested,
+    rows,
+    seconds,
+    series,
+)
 from camctl.menu.model import Action, Goal, Model, State
 from camctl.menu.ports import Key
 from camctl.menu.tables import (
@@ -102,7 +114,7 @@ def _enter(model: Model, state: State) -> tuple[Model, Effect | None]:
     model = replace(model, state=state, action=0, offset=0)
     if state in _BEGINNINGS:
         model = replace(model, begun=state)
-    if state is State.CANCELLING:
+    if state in (State.CANCELLING, State.CALIBRATION_STOPPING):
         return model, Cancel(model.request_id)
     if state is State.TIMER:
         return replace(model, remaining_s=seconds(TIMERS[model.settings.timer])), None
@@ -151,6 +163,7 @@ _ARGUMENTS: dict[Work, Callable[[Model], object]] = {
     Work.RESUME: lambda model: model.captures[model.cursor],
     Work.SERIES: series,
     Work.LOOK: lambda model: model.captures[model.cursor],
+    Work.CALIBRATE: lambda model: CALIBRATIONS[model.cursor].value,
 }
 
 
@@ -161,11 +174,18 @@ def _with_goal(model: Model, symbol: Symbol, target: State) -> Model:
         return replace(model, goal=Goal.FRONT, point=point)
     if model.state in (State.EXPOSURES, State.BUDGET) and target is State.PLANNING:
         return replace(model, goal=_goal(model))
-    if model.state is State.CAMERAS and target is State.OPENING:
-        camera = model.cameras[model.cursor].id
+    if model.state in (State.CAMERAS, State.SEVERAL) and target is State.OPENING:
+        ids = chosen_cameras(model) if model.state is State.SEVERAL else ()
+        camera = TOGETHER.join(ids) or model.cameras[model.cursor].id
         return replace(model, settings=replace(model.settings, camera=camera), camera=None)
-    keeps = {State.LOOKING, State.RESUMING, State.CAPTURES, State.CANCELLING, State.STOPPING}
-    return model if target in keeps else replace(model, cursor=0)
+    return model if target in _KEEPS_CURSOR else replace(model, cursor=0)
+
+
+_KEEPS_CURSOR = {
+    *(State.LOOKING, State.RESUMING, State.CAPTURES, State.CANCELLING, State.STOPPING),
+    *(State.CALIBRATING, State.CALIBRATION_STOPPING),
+}
+"""States whose work, or its repetition, is for the selected entry of the list before."""
 
 
 def _with_value(model: Model, event: Event) -> Model:
@@ -192,6 +212,8 @@ def _with_value(model: Model, event: Event) -> Model:
             return replace(model, plan=value)
         case _, Progress():
             return replace(model, progress=value)
+        case _, Calibrated():
+            return replace(model, calibrated=value.lines)
         case _, Summary():
             return replace(model, summary=value)
         case Outcome.DONE, Traced():
@@ -201,7 +223,7 @@ def _with_value(model: Model, event: Event) -> Model:
             found = [each for each in value if isinstance(each, CameraEntry)]
             ids = [each.id for each in found]
             cursor = ids.index(model.settings.camera) if model.settings.camera in ids else 0
-            return replace(model, cameras=tuple(found), cursor=cursor)
+            return replace(model, cameras=tuple(found), cursor=cursor, marked=())
         case Outcome.DONE, tuple() if model.state is State.BROWSING:
             return replace(model, captures=value, cursor=0)
     return model
@@ -221,7 +243,9 @@ def _recommended(front: tuple[Cost, ...]) -> int:
 
 def _with_changed_setting(model: Model) -> Model:
     name = rows(model)[selected(model)].value
-    assert isinstance(name, str)  # the entries of `CHANGE` have the name of a setting
+    assert isinstance(name, str)  # the entries of `CHANGE` have the name of a setting, or a camera
+    if model.state is State.SEVERAL:
+        return replace(model, marked=tuple(sorted({*model.marked} ^ {name})))
     index = (getattr(model.settings, name) + 1) % len(KEPT[name])
     return replace(model, settings=_with_index(model.settings, name, index))
 

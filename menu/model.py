@@ -57,6 +57,12 @@ class State(StrEnum):
     SERIES = auto()
     SERIES_SHOOTING = auto()
     SERIES_FAILED = auto()
+    SEVERAL = auto()
+    CALIBRATION = auto()
+    CALIBRATING = auto()
+    CALIBRATION_STOPPING = auto()
+    CALIBRATED = auto()
+    CALIBRATION_FAILED = auto()
     SETTINGS = auto()
     ABOUT = auto()
     SAVER = auto()
@@ -85,6 +91,8 @@ class Action(Enum):
     CHANGE = "Change"
     SERIES = "Series"
     START = "Start"
+    SEVERAL = "Several cameras"
+    CALIBRATE = "Calibration"
     QUIT = "Quit"
 
 
@@ -118,6 +126,8 @@ class Model:
         summary: result of the capture that is shown
         cameras: the cameras that were found
         camera: the camera that is open; None: none
+        marked: ids of cameras that are to take pictures together; (): all
+        calibrated: what the last calibration has measured
         captures: the captures in the folder, the newest first
         error: message of the last failure
         note: a remark for the idle screen
@@ -142,6 +152,8 @@ class Model:
     summary: Summary | None = None
     cameras: tuple[CameraEntry, ...] = ()
     camera: CameraEntry | None = None
+    marked: tuple[str, ...] = ()
+    calibrated: tuple[str, ...] = ()
     captures: tuple[Past, ...] = ()
     error: str = ""
     note: str = ""

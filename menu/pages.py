@@ -69,7 +69,7 @@ def idle(model: Model) -> Screen:
 
 
 def _stated(reading: Reading) -> list[Line]:
-    """Return focus, and battery and card where the camera states them."""
+    """Return focus, and battery, card, lens and mode dial where the camera states them."""
     lines = []
     if (percent := reading.focus_percent) is not None:
         lines.append(Line((f"Focus {percent} % of the best seen", f"Focus {percent} %")))
@@ -78,6 +78,10 @@ def _stated(reading: Reading) -> list[Line]:
         lines.append(Line((f"Battery {battery} %",)))
     if images is not None:
         lines.append(Line((f"{images} pictures free on the card", f"Card {images} free")))
+    if reading.lens is not None:
+        lines.append(Line((f"Lens {reading.lens}", reading.lens)))
+    if reading.mode is not None:
+        lines.append(Line((f"Mode dial at {reading.mode}", f"Mode {reading.mode}")))
     return lines
 
 
@@ -193,6 +197,11 @@ def _summary(summary: Summary) -> Screen:
         picture=summary.picture,
         folder=summary.folder,
     )
+
+
+def calibrated(model: Model) -> Screen:
+    """Return what a calibration has measured, which the camera's profile keeps."""
+    return replace(BLANK, paragraphs=(*model.calibrated, "Kept in the camera's profile."))
 
 
 def about(model: Model) -> Screen:

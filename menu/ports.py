@@ -10,6 +10,7 @@ from typing import Protocol, Self
 
 from camctl.errors import CamctlError
 from camctl.menu.data import (
+    Calibrated,
     CameraEntry,
     Choice,
     Cost,
@@ -195,6 +196,15 @@ class Job(Protocol):
         cancelled: Callable[[], bool],
     ) -> Summary:
         """Take a series, as `shoot` does; return the last complete picture and what to know."""
+
+    def calibrate(
+        self,
+        scene: str,
+        on_progress: Callable[[Progress], None],
+        cancelled: Callable[[], bool],
+    ) -> Calibrated:
+        """Measure the camera, see `camctl.menu.entries.CALIBRATIONS`; keep the results."""
+        ...
 
     def captures(self) -> tuple[Past, ...]:
         """Return the captures in the folder, the newest first."""

@@ -15,6 +15,7 @@ from camctl.menu.model import Action, Goal, Model, State
 from camctl.menu.ports import Line, Mood, Panel, Screen
 from camctl.menu.tables import STATES, Kind
 from camctl.menu.text import format_levels, format_short_time, format_total, gain_in_words
+from camctl.messages.guidance import COVERED, STILL_SCENE
 from camctl.system.number_text import range_text
 
 #: Text of a waiting screen until there is progress to show.
@@ -25,6 +26,8 @@ _WAITING = {
     State.SHOOTING: ("Starting",),
     State.RESUMING: ("Reading frames", "Reading"),
     State.SERIES_SHOOTING: ("Measuring the light", "Measuring"),
+    State.CALIBRATING: ("Loading the steps", "Loading"),
+    State.CALIBRATION_STOPPING: ("The step ends first", "Ending"),
     State.CANCELLING: ("Keeping the frames", "Keeping frames"),
     State.SEARCHING: ("Asking each backend", "Asking"),
     State.BROWSING: ("Reading the folder", "Folder"),
@@ -114,8 +117,17 @@ def _list(model: Model) -> Screen:
         lines=lines,
         selected=index,
         detail=Line(_cost_detail(model, index)) if has_costs else _list_detail(model, index),
-        paragraphs=_gain(model, index) if model.state is State.EXPOSURES else (),
+        paragraphs=_remarks(model, index),
     )
+
+
+def _remarks(model: Model, index: int) -> tuple[str, ...]:
+    """Return what stands below a list where there is room."""
+    if model.state is State.EXPOSURES:
+        return _gain(model, index)
+    if model.state is State.CALIBRATION:
+        return (*STILL_SCENE, COVERED)
+    return ()
 
 
 _EMPTY = {
@@ -135,9 +147,13 @@ def _list_detail(model: Model, index: int) -> Line | None:
         )
     if model.state is State.FRONT:
         return Line(_point_detail(model.front[index]))
+    if model.state is State.CALIBRATION:
+        return Line(("enter: begin",))
+    if rows(model)[index].action is Action.SEVERAL:
+        return Line(("one picture with each, at once", "at once"))
     if model.state is State.CAMERAS:
         return Line((model.cameras[index].id, model.cameras[index].id[-16:]))
-    if model.state in (State.SETTINGS, State.SERIES):
+    if model.state in (State.SETTINGS, State.SERIES, State.SEVERAL):
         starts = rows(model)[index].action is Action.START
         return Line(("enter: start" if starts else "enter: change",))
     return None
@@ -235,7 +251,14 @@ def _wait(model: Model) -> Screen:
     if progress.stage in ("writing", "metering"):
         text = progress.stage
     short = f"{progress.done}/{progress.total} {progress.stage}"
-    return replace(pages.BLANK, lines=(Line((text, short)),), share=min(1.0, progress.share))
+    if model.state in (State.CALIBRATING, State.CALIBRATION_STOPPING):
+        text, short = f"Measuring {progress.stage}", progress.stage
+    return replace(
+        pages.BLANK,
+        lines=(Line((text, short)),),
+        paragraphs=progress.lines,
+        share=min(1.0, progress.share),
+    )
 
 
 def _nothing(_: Model) -> Screen:
@@ -247,6 +270,7 @@ _BODIES: dict[State, Callable[[Model], Screen]] = {
     State.REVIEW: pages.review,
     State.RESULT: pages.result,
     State.PAST: pages.result,
+    State.CALIBRATED: pages.calibrated,
     State.ABOUT: pages.about,
     State.STOPPING: pages.stopping,
     State.CONFIRM: pages.confirm,

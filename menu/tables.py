@@ -56,6 +56,7 @@ class Work(Enum):
     FIND = auto()
     BROWSE = auto()
     LOOK = auto()
+    CALIBRATE = auto()
 
 
 @dataclass(frozen=True)
@@ -166,6 +167,14 @@ STATES: dict[State, StateSpec] = {
     State.SERIES_SHOOTING: StateSpec(_W, ("Series runs", "Series"), work=Work.SERIES, mood=_BUSY),
     State.SERIES_FAILED: StateSpec(
         _P, ("Series failed",), (*_FAILURE, Action.CAPTURES), mood=_ERROR
+    ),
+    State.SEVERAL: StateSpec(_L, ("Several cameras", "Several")),
+    State.CALIBRATION: StateSpec(_L, ("Calibration",)),
+    State.CALIBRATING: StateSpec(_W, ("Calibrating",), work=Work.CALIBRATE, mood=_BUSY),
+    State.CALIBRATION_STOPPING: StateSpec(_W, ("Ending the step", "Ending"), mood=_BUSY),
+    State.CALIBRATED: StateSpec(_P, ("Calibrated",), (Action.BACK, Action.MENU)),
+    State.CALIBRATION_FAILED: StateSpec(
+        _P, ("Calibration failed", "Failed"), _FAILURE, mood=_ERROR
     ),
     State.SETTINGS: StateSpec(_L, ("Settings",)),
     State.ABOUT: StateSpec(_P, ("About",), (Action.BACK,)),
@@ -278,6 +287,7 @@ TRANSITIONS: dict[State, dict[Symbol, State]] = {
             Action.CAPTURES: _S.BROWSING,
             Action.OTHER: _S.SEARCHING,
             Action.SERIES: _S.SERIES,
+            Action.CALIBRATE: _S.CALIBRATION,
             Action.SETTINGS: _S.SETTINGS,
             Action.ABOUT: _S.ABOUT,
             Action.QUIT: _S.CONFIRM,
@@ -285,7 +295,21 @@ TRANSITIONS: dict[State, dict[Symbol, State]] = {
     ),
     _S.SEARCHING: _wait(_S.SEARCHING, _S.MENU, _S.CAMERAS, _S.SEARCH_FAILED),
     _S.SEARCH_FAILED: _failure(_S.SEARCH_FAILED, _S.SEARCHING, _S.MENU),
-    _S.CAMERAS: _list(_S.CAMERAS, _S.MENU, _S.OPENING),
+    _S.CAMERAS: _list(_S.CAMERAS, _S.MENU, _S.OPENING, {Action.SEVERAL: _S.SEVERAL}),
+    _S.SEVERAL: _list(
+        _S.SEVERAL, _S.CAMERAS, _S.SEVERAL, {Action.CHANGE: _S.SEVERAL, Action.START: _S.OPENING}
+    ),
+    _S.CALIBRATION: _list(_S.CALIBRATION, _S.MENU, _S.CALIBRATING),
+    _S.CALIBRATING: {
+        **_wait(_S.CALIBRATING, _S.CALIBRATION_STOPPING, _S.CALIBRATED, _S.CALIBRATION_FAILED),
+        Outcome.PART: _S.CALIBRATING,
+    },
+    _S.CALIBRATION_STOPPING: {
+        **_wait(_S.CALIBRATION_STOPPING, _S.CALIBRATION, _S.CALIBRATED, _S.CALIBRATION_FAILED),
+        Outcome.CANCELLED: _S.CALIBRATION,
+    },
+    _S.CALIBRATED: _page(_S.CALIBRATED, _S.CALIBRATION, {Action.MENU: _S.MENU}),
+    _S.CALIBRATION_FAILED: _failure(_S.CALIBRATION_FAILED, _S.CALIBRATING, _S.CALIBRATION),
     _S.BROWSING: _wait(_S.BROWSING, _S.MENU, _S.CAPTURES, _S.BROWSE_FAILED),
     _S.BROWSE_FAILED: _failure(_S.BROWSE_FAILED, _S.BROWSING, _S.MENU),
     _S.CAPTURES: _list(_S.CAPTURES, _S.MENU, _S.LOOKING, {Action.RESUME: _S.RESUMING}),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from camctl.interface.camera import CameraInfo
 from camctl.interface.controls import ExposureControls, ExposureSetting, Layout
 from camctl.menu.data import CameraEntry, Plan, Progress, Summary
+from camctl.menu.entries import TOGETHER
 from camctl.menu.text import format_exact_time
 from camctl.menu.thumbnails import preview_picture
 from camctl.messages.menu import finding_text
@@ -22,9 +23,11 @@ if TYPE_CHECKING:  # the idle menu does not load what captures are made with
 _PICTURE_BYTES = 40
 
 
-def entry_of(info: CameraInfo) -> CameraEntry:
-    """Return what a camera is called."""
-    return CameraEntry(info.id, info.name)
+def entry_of(*infos: CameraInfo) -> CameraEntry:
+    """Return what a camera, or several that shoot together, are called."""
+    return CameraEntry(
+        TOGETHER.join(each.id for each in infos), TOGETHER.join(each.name for each in infos)
+    )
 
 
 def needed_bytes(plan: CapturePlan, controls: ExposureControls) -> int:

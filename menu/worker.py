@@ -16,7 +16,7 @@ from camctl.system.interrupts import uninterrupted
 _STOP_WAIT_S = 10.0
 """Time that the camera has to finish its frame after the menu has ended, s."""
 
-_CAPTURES = (Work.SHOOT, Work.RESUME, Work.SERIES)
+_CAPTURES = (Work.SHOOT, Work.RESUME, Work.SERIES, Work.CALIBRATE)
 
 
 def failure_text(error: Exception) -> str:
@@ -154,6 +154,8 @@ class Worker:
                 return job.resume(argument, part, cancelled)
             case Work.SERIES, SeriesChoice():
                 return job.series(argument, part, cancelled)
+            case Work.CALIBRATE, str():
+                return job.calibrate(argument, part, cancelled)
             case Work.FIND, _:
                 return job.find_cameras()
             case Work.BROWSE, _:

@@ -20,6 +20,7 @@ from camctl.findings import Finding
 from camctl.interface.camera import Camera, StreamingCamera
 from camctl.interface.controls import ExposureSetting
 from camctl.profiles.exposures import exposure_mode
+from camctl.profiles.noise import DarkRecord
 from camctl.profiles.profile import Profile, load_profile
 
 
@@ -151,8 +152,12 @@ def dark_step(camera: Camera, options: StepOptions, progress: Progress) -> Found
     def keep(profile: Profile) -> None:
         profile.noises[mode] = profile.noises[mode].model_copy(update={"dark": dark})
 
-    text = (
+    return Found(keep, dark_text(dark))
+
+
+def dark_text(dark: DarkRecord) -> str:
+    """Return the dark signal in words."""
+    return (
         f"dark current {dark.dark_current_e_s.value:.3g} electrons/s, offsets of the pixels differ "
         f"by {dark.dsnu_e.value:.3g} electrons, hot pixels: {len(dark.hot_pixels)}"
     )
-    return Found(keep, text)

@@ -96,10 +96,11 @@ def run_menu(
     from camctl.menu.app import run
     from camctl.profiles import calibrated
 
-    def open_camera(camera_id: str) -> tuple[Camera, dict[str, Any]]:
+    def open_camera(camera_id: str, profile: str = "all") -> tuple[Camera, dict[str, Any]]:
         if not camera_id or camera_id == camera.camera_id:
-            return camera.open(), camera.source()
-        return calibrated.open_camera(camera_id), {"camera": camera_id, "options": {}}
+            return camera.open(profile=profile), camera.source()
+        opened = calibrated.open_camera(camera_id, {"profile": profile})
+        return opened, {"camera": camera_id, "options": {}}
 
     def make_job() -> Job:
         from camctl.menu.camera_job import CameraJob

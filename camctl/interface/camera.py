@@ -225,15 +225,19 @@ class CameraCondition:
     Attributes:
         battery_percent: charge of its battery
         free_images: pictures for which its card has room
+        lens: the name of the lens, or its focal lengths and apertures
+        mode: where the mode dial stands, such as "M"
     """
 
     battery_percent: int | None = None
     free_images: int | None = None
+    lens: str | None = None
+    mode: str | None = None
 
 
 @runtime_checkable
 class StatingCamera(Camera, Protocol):
-    """A camera that states its battery and its card."""
+    """A camera that states its battery, card, lens and mode dial, or some of them."""
 
     def condition(self) -> CameraCondition:
         """Return what the camera states now; raises `CameraError` where it does not answer."""

@@ -39,15 +39,16 @@ def finding_text(finding: Finding) -> str:
     """Return the finding with the entries of the menu that help."""
     from camctl.messages.plain import sentence  # loads pydantic
 
-    return _with_entries(sentence(finding), finding.remedies)
+    return with_entries(sentence(finding), finding.remedies)
 
 
 def error_text(error: CamctlError) -> str:
     """Return what went wrong and what to do, with the entries of the menu that help."""
-    return _with_entries(str(error), error.remedies)
+    return with_entries(str(error), error.remedies)
 
 
-def _with_entries(text: str, remedies: Mapping[str, Any]) -> str:
+def with_entries(text: str, remedies: Mapping[str, Any]) -> str:
+    """Return a text with the entries of the menu that remedy what it says."""
     found = [_entry(name, value) for name, value in remedies.items() if name in ENTRIES]
     return f"{text} (menu: {'; '.join(found)})" if found else text
 

@@ -382,13 +382,15 @@ class Body:
             return None
 
     def condition(self) -> CameraCondition:
-        """Return the charge of the battery and the room on the cards, as far as it states them."""
+        """Return battery, room on the cards, lens and mode dial, as far as it states them."""
         stores: tuple[StorageInfo, ...] = ()
         if Op.GET_STORAGE_IDS in self.session.info.operations:
             with suppress(CameraProtocolError):
                 stores = self.session.stores()
         rooms = [store.free_images for store in stores if store.free_images != _UNKNOWN_NUMBER]
-        return CameraCondition(self.properties.battery_percent(), sum(rooms) if rooms else None)
+        known = self.properties
+        battery, room = known.battery_percent(), sum(rooms) if rooms else None
+        return CameraCondition(battery, room, known.lens(), known.mode())
 
     def check_card(self) -> str | None:
         """Return a note if the cards say that they are read-only; the release will show it.

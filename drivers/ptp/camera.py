@@ -118,7 +118,7 @@ class PtpCamera(StillCamera):
         return UsbTransport(self._device, self._name, self._clock)
 
     def condition(self) -> CameraCondition:
-        """Return the charge of the battery and the room on the cards."""
+        """Return what it states of battery, cards, lens and mode dial."""
         self._check_ready()
         return self._body.condition()
 

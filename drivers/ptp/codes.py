@@ -110,6 +110,11 @@ class Prop(IntEnum):
 
     NIKON_ISO_AUTO = 0xD054
     NIKON_RETRACTABLE_LENS = 0xD09C
+    # Of the lens: focal lengths and the largest aperture at both, in hundredths.
+    NIKON_SHORTEST_FOCAL = 0xD0E3
+    NIKON_LONGEST_FOCAL = 0xD0E4
+    NIKON_APERTURE_AT_SHORTEST = 0xD0E5
+    NIKON_APERTURE_AT_LONGEST = 0xD0E6
     NIKON_EXPOSURE_TIME = 0xD100
 
     EOS_APERTURE = 0xD101
@@ -118,6 +123,7 @@ class Prop(IntEnum):
     EOS_PROGRAM = 0xD105
     EOS_DESTINATION = 0xD11C
     EOS_OUTPUT = 0xD1B0
+    EOS_LENS_NAME = 0xD1D8
 
     FUJI_PRIORITY = 0xD207
     FUJI_BUTTON = 0xD208

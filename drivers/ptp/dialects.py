@@ -6,7 +6,8 @@ the dialects of the makers are in `camctl.drivers.ptp.makers`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
 from fractions import Fraction
 
@@ -97,6 +98,9 @@ class Dialect:
         program: the property of the mode dial, and its numbers for manual exposure; no numbers:
             they are not known
         battery: the property of the charge in per cent
+        modes: what the mode dial is at, by the number of its property
+        lens: the property with the name of the lens; or four, in hundredths: its shortest and
+            longest focal length, mm, and its largest aperture at both
         lens_warning: a property that is 1 where the lens is not in working position, and the
             response code with this meaning
         unlisted: operations that the camera has and does not list
@@ -136,6 +140,8 @@ class Dialect:
     program: tuple[int, frozenset[int]]
     battery: int
     releases: tuple[tuple[Step, ...], ...]
+    modes: Mapping[int, str] = field(default_factory=lambda: MODES)
+    lens: tuple[int, ...] = ()
     lens_warning: tuple[int, int] | None = None
     unlisted: frozenset[int] = frozenset()
     unreliable: frozenset[int] = frozenset()
@@ -161,6 +167,10 @@ class Dialect:
     is_stepped: bool = True
 
 
+MODES: dict[int, str] = dict(
+    enumerate(("M", "P", "A", "S", "creative", "action", "portrait"), start=1)
+)
+"""Of property 500E: ISO 15740, 13.4.14; the makers add theirs from 0x8000 on."""
 UNIT_S, PERCENT = Fraction(1, 10_000), Fraction(1, 100)  # of 500D, s; of 5007 and 500F
 EXPOSURE_TIME = Scale(Prop.EXPOSURE_TIME, ten_thousandths, UNIT_S)
 F_NUMBER = Scale(Prop.F_NUMBER, hundredths, PERCENT)

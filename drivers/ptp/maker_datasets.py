@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from camctl.drivers.ptp.codes import Event
+from camctl.drivers.ptp.codes import Event, Prop
 from camctl.drivers.ptp.datasets import (
     UINT16,
     UINT32,
@@ -29,25 +29,27 @@ class EosEvents:
     """The answer to one poll of Canon's events, in the order of its records.
 
     Attributes:
-        values: (property, number) of properties that changed
+        values: (property, number or text) of properties that changed
         choices: (property, numbers) of lists of choices that changed
         added: handles of new objects
     """
 
-    values: tuple[tuple[int, int], ...]
+    values: tuple[tuple[int, int | str], ...]
     choices: tuple[tuple[int, tuple[int, ...]], ...]
     added: tuple[int, ...]
 
     @classmethod
     def parse(cls, data: bytes) -> EosEvents:
         """Return the data of operation 9116."""
-        values: list[tuple[int, int]] = []
+        values: list[tuple[int, int | str]] = []
         choices: list[tuple[int, tuple[int, ...]]] = []
         added: list[int] = []
         for kind, body in _eos_records(data):
             reader = Reader(body, "event record")
             if kind == Event.EOS_PROPERTY_CHANGED and reader.left >= 8:
-                values.append((reader.u32(), reader.u32()))
+                code = reader.u32()
+                is_text = code == Prop.EOS_LENS_NAME
+                values.append((code, _text(reader) if is_text else reader.u32()))
             elif kind == Event.EOS_CHOICES_CHANGED and reader.left >= 12:
                 code, form, count = reader.u32(), reader.u32(), reader.u32()
                 if form == _EOS_LIST:
@@ -67,6 +69,11 @@ class EosEvents:
                 before = known.get(code) or PropertyDescription(code, UINT32, False, 0)
                 # A property that cannot be set in this mode lists no choice, or one.
                 known[code] = replace(before, choices=numbers, is_writable=len(numbers) > 1)
+
+
+def _text(reader: Reader) -> str:
+    """Return a text of Canon's: ASCII up to a NUL."""
+    return reader.take(reader.left).partition(b"\0")[0].decode("ascii", "replace")
 
 
 def _eos_records(data: bytes) -> Iterator[tuple[int, bytes]]:

@@ -19,6 +19,7 @@ from camctl.drivers.ptp.dialects import (
     F_NUMBER,
     INITIATE,
     MANUAL,
+    MODES,
     PERCENT,
     SINGLE_SHOTS,
     STANDARD,
@@ -50,6 +51,16 @@ _AUTOMATIC_ISO = (
 _WITHOUT_FOCUSING, _WITH_FOCUSING = 0xFFFFFFFF, 0xFFFFFFFE  # first parameter of 9207
 _TO_CARD = 0  # second one
 
+_NIKON_SCENES = (
+    *("auto", "portrait", "landscape", "close-up", "sports", "night portrait"),
+    *("night landscape", "children", "auto without flash"),
+)
+_EOS_MODES = (
+    *("P", "Tv", "Av", "M", "B", "A-DEP", "DEP", "C1", "lock", "auto", "night portrait"),
+    *("sports", "portrait", "landscape", "close-up", "auto without flash", "C2", "C3"),
+)
+_SONY_MODES = {0x8000: "intelligent auto", 0x8001: "superior auto", 0x8050: "film"}
+
 NIKON = Dialect(
     name="nikon",
     needs=frozenset({Op.NIKON_READY}),
@@ -59,6 +70,13 @@ NIKON = Dialect(
     f_numbers=(F_NUMBER,),
     program=MANUAL,
     battery=Prop.BATTERY_LEVEL,
+    modes=MODES | dict(enumerate(_NIKON_SCENES, start=0x8010)),
+    lens=(
+        Prop.NIKON_SHORTEST_FOCAL,
+        Prop.NIKON_LONGEST_FOCAL,
+        Prop.NIKON_APERTURE_AT_SHORTEST,
+        Prop.NIKON_APERTURE_AT_LONGEST,
+    ),
     lens_warning=(Prop.NIKON_RETRACTABLE_LENS, NIKON_LENS),
     # Most bodies list their own properties, the exact time and automatic ISO among them, here only.
     hidden=((Op.NIKON_PROPERTY_CODES, (), 2), (Op.NIKON_CODES, (0xD,), 4)),
@@ -94,6 +112,8 @@ CANON_EOS = Dialect(
     f_numbers=(Scale(Prop.EOS_APERTURE, eos_f_number),),
     program=(Prop.EOS_PROGRAM, frozenset({3, 4})),  # manual, bulb
     battery=Prop.BATTERY_LEVEL,
+    modes=dict(enumerate(_EOS_MODES)),
+    lens=(Prop.EOS_LENS_NAME,),
     opening=(Step(Op.EOS_REMOTE_MODE, (1,)), _EVENT_MODE),
     presets=(Preset(Prop.EOS_DESTINATION, 2),),  # pictures to the card
     releases=(
@@ -149,6 +169,7 @@ SONY = Dialect(
     f_numbers=(Scale(Prop.F_NUMBER, hundredths),),
     program=MANUAL,
     battery=Prop.SONY_BATTERY,
+    modes=MODES | _SONY_MODES,
     opening=(
         Step(Op.SONY_CONNECT, (1, 0, 0)),
         Step(Op.SONY_CONNECT, (2, 0, 0)),
@@ -203,6 +224,7 @@ OLYMPUS = Dialect(
     f_numbers=(Scale(Prop.OLYMPUS_APERTURE, tenths),),
     program=(Prop.OLYMPUS_PROGRAM, frozenset()),
     battery=Prop.BATTERY_LEVEL,
+    modes={},
     opening=(Step(Op.SET_PROPERTY, (Prop.OLYMPUS_CONTROL_MODE,), _u16(1), is_optional=True),),
     releases=((Step(Op.OLYMPUS_CAPTURE, (3,)), Step(Op.OLYMPUS_CAPTURE, (6,))),),
 )

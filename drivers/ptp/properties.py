@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 
@@ -71,6 +71,7 @@ class Properties:
         self._codes = frozenset(
             {*(scale.code for scale in scales), *others, *presets, *awaited}
             | {dialect.program[0], dialect.battery}
+            | (set(dialect.lens) if dialect.source is Source.EOS_EVENTS else set())
         )
         self._known: dict[int, PropertyDescription] = {}
         self._added: list[int] = []
@@ -151,6 +152,25 @@ class Properties:
             if self._dialect.battery in self._known:
                 return self.number(self._dialect.battery)
         return None
+
+    def mode(self) -> str | None:
+        """Return where the mode dial stands; None if the camera does not report it."""
+        with suppress(CameraError):
+            number = self.number(self._dialect.program[0])
+            return None if number is None else self._dialect.modes.get(number)
+        return None
+
+    def lens(self) -> str | None:
+        """Return the name of the lens, or its focal lengths and apertures; None: not reported."""
+        found: list[Value] = []
+        with suppress(CameraError):
+            for code in self._dialect.lens:
+                if (known := self._known.get(code)) is None:
+                    if code not in self._session.info.properties:
+                        return None
+                    known = self._session.description(code)
+                found.append(known.current)
+        return _lens_text(found)
 
     # ---- modes
 
@@ -353,3 +373,20 @@ class Properties:
 
 def _scales(dialect: Dialect) -> tuple[Scale, ...]:
     return (*dialect.times, *dialect.gains, *dialect.f_numbers)
+
+
+def _lens_text(found: Sequence[Value]) -> str | None:
+    """Return a lens by its name, or by four numbers in hundredths.
+
+    >>> _lens_text([1800, 5500, 350, 560]), _lens_text([5000, 5000, 180, 180]), _lens_text([""])
+    ('18-55 mm f/3.5-5.6', '50 mm f/1.8', None)
+    """
+    match found:
+        case [str(name)]:
+            return name or None
+        case [int(), int(), int(), int()] if all(found):
+            low, high, *f_numbers = (f"{each / 100:g}" for each in found if isinstance(each, int))
+            pairs = ((low, high), f_numbers)
+            lengths, apertures = ("-".join(dict.fromkeys(pair)) for pair in pairs)
+            return f"{lengths} mm f/{apertures}"
+    return None

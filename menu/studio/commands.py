@@ -22,6 +22,8 @@ _ONLY_ASKED = {
     State.CANCELLING,
     State.STOPPING,
     State.PLANNING,
+    State.CALIBRATING,
+    State.CALIBRATION_STOPPING,
     State.CONFIRM,
     State.QUIT,
 }

@@ -9,6 +9,7 @@ from typing import Self, TypeAlias
 
 from camctl.errors import InterruptedCaptureError
 from camctl.menu.data import (
+    Calibrated,
     CameraEntry,
     Choice,
     Cost,
@@ -94,6 +95,7 @@ class FakeJob:
         self.traced: list[Choice] = []
         self.resumed: list[Past] = []
         self.series_taken: list[SeriesChoice] = []
+        self.calibrated: list[str] = []
         self.saved: list[Settings] = []
         self.opened: list[str] = []
         self.running = 0  # captures at the same time
@@ -183,6 +185,18 @@ class FakeJob:
         self.series_taken.append(series)
         self._call_before("series")
         return self._capture(series.count, on_progress, cancelled)
+
+    def calibrate(
+        self,
+        scene: str,
+        on_progress: Callable[[Progress], None],
+        cancelled: Callable[[], bool],
+    ) -> Calibrated:
+        """Return one line once `frame_may_end` is set; raise when cancelled before."""
+        self.calibrated.append(scene)
+        self._call_before("calibrate")
+        self._capture(2, on_progress, cancelled)
+        return Calibrated((f"{scene}: 4 frames",))
 
     def _capture(
         self, count: int, on_progress: Callable[[Progress], None], cancelled: Callable[[], bool]

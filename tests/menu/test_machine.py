@@ -123,7 +123,8 @@ def test_every_state_takes_every_key_and_event(state: State) -> None:
         if isinstance(effect, Start):
             assert after.request_id == effect.request_id == 8, given
         elif isinstance(effect, Cancel):
-            assert (effect.request_id, after.state) == (7, State.CANCELLING), given
+            assert effect.request_id == 7, given
+            assert after.state in (State.CANCELLING, State.CALIBRATION_STOPPING), given
         else:
             assert after.request_id == 7, given
 

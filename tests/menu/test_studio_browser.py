@@ -15,6 +15,8 @@ from studio_menu import MakeJob, job_with, start_menu
 
 from camctl.errors import CameraDisconnectedError
 from camctl.interface.camera import Camera
+from camctl.menu.camera_job import CameraJob
+from camctl.menu.data import CameraEntry
 from camctl.sim.backend import SimulatedBackend
 
 CHROMIUM = shutil.which("chromium")
@@ -209,3 +211,54 @@ def test_photographs_that_are_dropped_are_merged_and_opened(show: Show, tmp_path
     page.wait_for_selector("#photographs")
     page.click("[data-section=settings]")
     page.wait_for_selector("text=Press an entry to change it.")
+
+
+def test_calibration_shows_its_steps_and_what_each_has_measured(
+    show: Show, own_profiles: Path
+) -> None:
+    def opened(_: str, profile: str = "all") -> tuple[Camera, dict[str, str]]:
+        return SimulatedBackend().open("", {"size": "320x240"}), {}
+
+    page = show(lambda panel: CameraJob(opened, panel.parent, panel.parent / "menu.json"))
+    page.wait_for_selector("[data-action=shoot]")
+    page.click("[data-section=settings]")
+    page.click("button:has-text('Calibration')")
+    page.wait_for_selector("text=Put the camera on a tripod")
+    assert [each for each in page.evaluate(_CONTRASTS) if each[0] < LEAST_CONTRAST] == []
+    page.click("button:has-text('Still scene')")
+    page.wait_for_selector("text=Measuring response")
+    page.wait_for_selector("text=noise: ", timeout=120_000)
+    page.wait_for_selector("text=Kept in the camera's profile.")
+    assert [each for each in page.evaluate(_CONTRASTS) if each[0] < LEAST_CONTRAST] == []
+    page.click("[data-action=back]")
+    page.click("button:has-text('Lens covered')")
+    page.wait_for_selector("text=put the lens cap on")
+
+
+def test_several_cameras_are_marked_and_take_one_picture(show: Show, tmp_path: Path) -> None:
+    cameras = ("a", "b")
+
+    class TwoCameras(CameraJob):
+        def find_cameras(self) -> tuple[CameraEntry, ...]:
+            return tuple(CameraEntry(each, f"camera {each}") for each in cameras)
+
+    page = show(
+        lambda panel: TwoCameras(
+            lambda _: (simulated(), {}), panel.parent, panel.parent / "menu.json", sight=panel.sight
+        )
+    )
+    page.wait_for_selector("[data-action=shoot]")
+    page.click("[data-section=settings]")
+    page.click("[role=group] button:has-text('Camera')")
+    page.click("button:has-text('Several at once')")
+    for name in cameras:
+        page.click(f"button:has-text('[ ] camera {name}')")
+        page.wait_for_selector(f"button:has-text('[x] camera {name}')")
+    assert [each for each in page.evaluate(_CONTRASTS) if each[0] < LEAST_CONTRAST] == []
+    page.click("button:has-text('Use these 2')")
+    page.click("[data-action=shoot]")
+    page.wait_for_selector("[data-action=timer]")
+    page.click("[data-action=shoot]")
+    page.wait_for_selector(".picture")
+    page.wait_for_selector("text=levels, in capture-0002")
+    assert len(list(tmp_path.glob("capture-*"))) == 2

@@ -20,30 +20,18 @@ from camctl.cli.output import (
     progress_bar,
     without_stage,
 )
+from camctl.messages.guidance import COVERED, STILL_SCENE
 
 if TYPE_CHECKING:
     from camctl.calibration.single_steps import StepResult
     from camctl.findings import Finding
     from camctl.profiles.noise import NoiseRecord
 
-_GUIDANCE = (
-    "Put the camera on a tripod before a scene that does not move, with dark and bright parts and "
-    "many shades between: a room with a window, a desk under a lamp.",
-    "Its light must be steady: daylight without moving clouds, or a lamp that does not flicker.",
-    "Switch automatic exposure, gain, white balance and focus off. It takes a few minutes.",
-)
-
-
 #: How a pattern of the pixels, which stays, is separated from the scene, which does not.
 _TURN = (
     "Last step: uncover the lens, turn the camera a little, by about a tenth of the picture, and "
     "fix it again. What then stays in the pictures is how the pixels differ. Answer n if it cannot "
     "be turned."
-)
-#: What the pixels collect without light.
-_COVER = (
-    "Cover the lens, with its cap or a dark cloth. What the pictures then show is the dark signal "
-    "and hot pixels. Answer n if it cannot be covered."
 )
 #: What depends on the picture, so that no calibration can predict it.
 _NEVER = "smear, blooming and glare"
@@ -88,7 +76,7 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
 
     with camera.open(profile="none") as opened:
         info, mode = opened.info, exposure_mode(opened.controls)
-    for number, line in enumerate(() if as_json else _GUIDANCE, start=1):
+    for number, line in enumerate(() if as_json else STILL_SCENE, start=1):
         print_error(f"{number}. {line}")
     is_interactive = not as_json and sys.stdin.isatty() and sys.stderr.isatty()
     if is_interactive:
@@ -114,7 +102,7 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
 
             return ask if is_interactive else None
 
-        cover = asked(_COVER, "Is the lens covered?")
+        cover = asked(f"{COVERED} Answer n if it cannot be covered.", "Is the lens covered?")
         turn = asked(_TURN, "Is the lens uncovered, and has the camera been turned?")
         how = StepOptions(longest_s, begin, warn, cover, turn)
         for step in calibrate(lambda parts: camera.open(profile=parts), how):

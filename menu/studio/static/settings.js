@@ -6,10 +6,10 @@ let root, isProfiles = false, drawn = "";
 
 function bar(state, show) {
   const tabs = [["settings", "Settings"], ["series", "Series"], ["searching", "Camera"],
-    ["about", "About"]];
+    ["calibration", "Calibration"], ["about", "About"]];
   return h("div", {class: "buttons", role: "group", "aria-label": "settings"},
     tabs.map(([name, title]) => h("button", {
-      "aria-pressed": String(!isProfiles && state.state === name),
+      "aria-pressed": String(!isProfiles && state.state.startsWith(name)),
       onclick: () => { isProfiles = false; command({state: name}); show(); }}, title)),
     h("button", {"aria-pressed": String(isProfiles), "data-profiles": true,
       onclick: () => { isProfiles = true; show(); }}, "Profiles"));
@@ -40,7 +40,7 @@ async function profiles() {
 async function show(state) {
   if (!isProfiles) {
     drawn = "";
-    const detail = ["settings", "series"].includes(state.state) ? "Press an entry to change it." : state.detail;
+    const detail = ["settings", "series", "several"].includes(state.state) ? "Press an entry to change it." : state.detail;
     renew(root, bar(state, () => show(state)), h("div", {class: "card"}, words({...state, detail})));
     return;
   }

@@ -137,8 +137,11 @@ async function show(state) {
   studio.state = state;
   showBar(state);
   find("camera").textContent = state.camera ? state.camera.name : "";
-  const {free_bytes: free = 0, battery_percent: battery, free_images: images} = state.reading || {};
+  const {free_bytes: free = 0, battery_percent: battery, free_images: images, lens, mode} =
+    state.reading || {};
   find("facts").textContent = [
+    lens || "",
+    mode ? `mode dial at ${mode}` : "",
     typeof battery === "number" ? `battery ${battery} %` : "",
     typeof images === "number" ? `${images} pictures on the card` : "",
     free ? (free / 1e9).toPrecision(3) + " GB free" : "",

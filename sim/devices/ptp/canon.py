@@ -123,6 +123,9 @@ class CanonResponder(Responder):
             ),
             DeviceProperty(Property.EOS_AVAILABLE_SHOTS, Type.UINT32, 999, is_writable=False),
             DeviceProperty(Property.EOS_DESTINATION, Type.UINT32, CARD, (CARD, HOST)),
+            DeviceProperty(
+                Property.EOS_LENS_NAME, Type.STRING, "EF50mm f/1.8 STM", is_writable=False
+            ),
         ]
         if config.needs_output:
             items.append(DeviceProperty(Property.EOS_OUTPUT, Type.UINT32, 0, (0, 1, 2, _OUTPUT_PC)))
@@ -304,8 +307,13 @@ def _record(kind: int, body: bytes) -> bytes:
 
 
 def _property_records(item: DeviceProperty) -> list[bytes]:
-    """Return records of the value and, if there is a list, of the allowed values; 32 bits each."""
-    records = [_record(Event.EOS_PROPERTY_CHANGED, struct.pack("<II", item.code, int(item.value)))]
+    """Return records of the value and, if there is a list, of the allowed values; 32 bits each.
+
+    A text is ASCII with a NUL.
+    """
+    value = item.value
+    packed = value.encode() + b"\0" if isinstance(value, str) else struct.pack("<I", value)
+    records = [_record(Event.EOS_PROPERTY_CHANGED, struct.pack("<I", item.code) + packed)]
     if item.choices:
         choices = item.choices if item.is_writable else ()
         numbers = (item.code, 3, len(choices), *choices)  # 3: numbers of 16 or 32 bits

@@ -30,6 +30,14 @@ _TO_CARD, _TO_MEMORY = 0, 1  # second parameter of 9207
 _WITHOUT_FOCUSING = 0xFFFF_FFFF  # first one
 _SPECIAL = 0xFFFF_FFF0  # values from here on are no times
 
+_LENS = (
+    (Property.NIKON_FOCAL_LENGTH_MIN, Type.UINT32, 1800),
+    (Property.NIKON_FOCAL_LENGTH_MAX, Type.UINT32, 5500),
+    (Property.NIKON_MAX_APERTURE_AT_MIN, Type.UINT16, 350),
+    (Property.NIKON_MAX_APERTURE_AT_MAX, Type.UINT16, 560),
+)
+"""A zoom of 18 to 55 mm, f/3.5 to f/5.6, in hundredths."""
+
 
 class NikonResponder(Responder):
     """A camera with exact fractions as shutter times, captures into memory, and polled events."""
@@ -69,7 +77,8 @@ class NikonResponder(Responder):
         warning = DeviceProperty(
             Property.NIKON_RETRACTABLE_LENS, Type.UINT8, 0, limits=(0, 1, 1), is_writable=False
         )
-        return [*items, exact, warning, *([automatic] if self.config.auto_iso else [])]
+        lens = [DeviceProperty(code, kind, value, is_writable=False) for code, kind, value in _LENS]
+        return [*items, exact, warning, *lens, *([automatic] if self.config.auto_iso else [])]
 
     def execute(
         self, code: int, transaction: int, parameters: Sequence[int], data: bytes

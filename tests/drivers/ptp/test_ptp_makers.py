@@ -213,3 +213,29 @@ class TestPanasonic:
         with closing(pair.camera()) as camera:
             assert isinstance(camera, PtpCamera)
         assert operations(pair.device)[-2:] == [0x9103, 0x1003]
+
+
+@pytest.mark.parametrize(
+    ("config", "lens", "mode"),
+    [
+        ({"vendor": "nikon"}, "18-55 mm f/3.5-5.6", "M"),
+        ({"vendor": "nikon", "hides_properties": True}, "18-55 mm f/3.5-5.6", "M"),
+        ({"vendor": "canon"}, "EF50mm f/1.8 STM", "M"),
+        ({"vendor": "sony"}, None, "M"),
+        ({"vendor": "none"}, None, "M"),
+        ({"vendor": "olympus"}, None, None),
+    ],
+)
+def test_lens_and_mode_dial_are_stated(
+    config: dict[str, Any], lens: str | None, mode: str | None
+) -> None:
+    with camera_on(**config) as (camera, _):
+        stated = camera.condition()
+    assert (stated.lens, stated.mode) == (lens, mode)
+
+
+def test_a_mode_that_has_no_name_is_not_stated() -> None:
+    with camera_on(vendor="nikon") as (camera, device):
+        for number, mode in ((0x8013, "close-up"), (0x8051, None), (3, "A")):
+            device.responder.properties[0x500E].value = number
+            assert camera.condition().mode == mode
