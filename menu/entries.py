@@ -97,8 +97,8 @@ MAIN_MENU = tuple(
         ("Series", Action.SERIES),
         ("Captures", Action.CAPTURES),
         ("Camera", Action.OTHER),
-        ("Calibration", Action.CALIBRATE),
         ("Settings", Action.SETTINGS),
+        ("Calibration", Action.CALIBRATE),
         ("About", Action.ABOUT),
         ("Quit", Action.QUIT),
     )

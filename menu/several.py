@@ -64,7 +64,9 @@ class Others:
         Raises:
             UsageError: a camera cannot shoot them, or the response follows the light of each
         """
-        if self._opened and request.response == AUTO:
+        if not self._opened:
+            return ()
+        if request.response == AUTO:
             raise UsageError(
                 "an automatic response follows the light of one camera",
                 hint="choose a response for several",
