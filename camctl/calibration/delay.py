@@ -29,7 +29,7 @@ from camctl.errors import CameraProtocolError, CaptureError, DataError, UsageErr
 from camctl.findings import Finding
 from camctl.interface.camera import Camera, Frame, StreamingCamera, use_delay
 from camctl.interface.controls import Control, ExposureSetting
-from camctl.profiles.profile import DelayRecord, FrameTiming
+from camctl.profiles.profile import DelayRecord
 
 TRIALS = 12
 #: Exposure of the bright setting over the dark one: far apart, and both within the range
@@ -162,7 +162,7 @@ def measure_delay(
         before, after = pair if is_up else pair[::-1]
         responses.append(stepper.response(before, after))
         names.append("gain" if before.time_s == after.time_s else "time")
-    record = _record(responses, stepper.warn, None, names)
+    record = _record(responses, stepper.warn, names)
     if use_delay(camera, record.bounds):
         _prove(camera, record, stepper, pairs, random)
     return record.model_copy(update={"timing": measure_stream_timing(camera)})
@@ -248,13 +248,12 @@ def delay_of_frames(
             )
         early = start - begin
         responses.append(StepResponse(found.first - early, found.full - early))
-    return _record(responses, warn, None)
+    return _record(responses, warn)
 
 
 def _record(
     responses: Sequence[StepResponse],
     warn: Callable[[Finding], None],
-    timing: FrameTiming | None,
     names: Sequence[str] = (),
 ) -> DelayRecord:
     """Return the record of steps; `names` says of each whether it was one of "time" or "gain"."""
@@ -269,7 +268,7 @@ def _record(
         largest=largest,
         trials=trials,
         measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
-        timing=timing,
+        timing=None,
         **{
             name: (min(each.first for each in steps), max(each.full for each in steps))
             for name in ("time", "gain")

@@ -30,7 +30,7 @@ _REQUEST = ("response", "gamma", "dynamic_range", "count", "ratios")
     default="11111",
 )
 def alpaca(camera: CameraOptions, request: RequestOptions, address: str) -> None:
-    """Serve a camera by ASCOM Alpaca, as programs of astronomers expect one.
+    """Serve a camera to astronomy programs by ASCOM Alpaca.
 
     The duration of an exposure is the shutter time of the shortest frame: what saturates it is
     white, and the other frames show what is darker. Pictures are linear in the light, in 16 bits;

@@ -56,7 +56,7 @@ def cameras(
 ) -> None:
     """List the connected cameras.
 
-    The first column is the id for --camera. Below, each backend with what it looks for.
+    The first column is the id for --camera. Below, each backend states what it looks for.
     """
     if udev_rules:
         options.refuse_together(context, "--udev-rules", {"probe", "record", "force", "as_json"})

@@ -74,7 +74,7 @@ _RATED = 900
     multiple=True,
     required=True,
 )
-@option("--look", "Map the light for looking, instead of showing the desired response.")
+@option("--look", "Show a tone-mapped picture instead of the desired response.")
 @option("--every K", "Write each K-th result to exr:FOLDER.", WholeNumber(least=1), default=1)
 @option("--count N", "End after so many results.", WholeNumber(least=1), field="most")
 @options.as_json

@@ -52,8 +52,8 @@ class SourceOptions:
         "--labels auto|dial|exact|pixels",
         "What the times are: nominal shutter speeds (1/60 means 1/64 s), corrected from the "
         "pixels; exact ones, which are not; or rough, and estimated from the pixels.  auto takes "
-        "numbers such as 0.02 for exact, and those of EXIF data or fractions such as 1/60 for "
-        "nominal where all of them are usual ones.",
+        "numbers such as 0.02 for exact; EXIF data and fractions such as 1/60 for nominal where "
+        "all of them are usual shutter speeds.",
         Name("meaning of the times", ("auto", "dial", "exact", "pixels")),
         default="auto",
     )
@@ -68,14 +68,15 @@ class SourceOptions:
     )
     mask: str | None = declare(
         "--mask FILE",
-        "Picture of their size that is black where the photographs are not valid.  "
+        "Picture that is black where the photographs, of the same size, are not valid.  "
         "[default: a border of one pure colour is cut off]",
         FILE,
     )
     align: str = declare(
         "--align none|shift|full",
-        "What to do with photographs that do not lie as the others: move them by whole pixels, "
-        "which keeps every level; or by a homography, which mends turns, too, and interpolates.",
+        "What to do with photographs that are shifted against the others: move them by whole "
+        "pixels, which keeps every level; or by a homography, which corrects turns, too, and "
+        "interpolates.",
         Name("alignment", ("none", "shift", "full")),
         default="shift",
     )
@@ -88,8 +89,8 @@ class SourceOptions:
     )
     deghost: str | None = declare(
         "--deghost none|single",
-        "How places are shown where something moved: as all photographs do together, or as a "
-        "single one does.  [default: single, but none with --colour camera]",
+        "Places where something moved: computed from all photographs, or each taken from a "
+        "single one.  [default: single, but none with --colour camera]",
         Name("way to show what moved", ("none", "single")),
     )
 
@@ -144,7 +145,7 @@ def merge(
     FILES are photographs of one scene with different exposures, from a tripod: JPEG, PNG, TIFF,
     camera raw or linear OpenEXR. All are used unless one is proven wrong or fewer are asked for;
     each one that is left out is named with the reason. The result is a folder as from `camctl
-    shoot`. Unless it is given, the range is the range of their light.
+    shoot`. The default range is what the photographs hold.
     """
     from camctl.photographs.merge import plan_merge
     from camctl.photographs.photograph_set import PhotographOptions

@@ -82,19 +82,20 @@ def declare(names: str, text: str, kind: AnyType | None = None, **more: Any) -> 
 def declare_as(decorator: Decorator) -> Any:
     """Return the same for a decorator made by `click.option`, whose argument has the field's name.
 
-    The type is that of any field.
+    The type is `Any`, so that it fits any field.
     """
     return _Declared(lambda _field: decorator)
 
 
-def option_group(model: type[Any], name: str) -> Decorator:
+def option_group(model: type[Any], name: str, **instead: Any) -> Decorator:
     """Return a decorator that adds options to a command and passes their values as one argument.
 
     Args:
         model: a dataclass whose fields are options, in the order of the help page: see `declare`
         name: of the command's argument that receives the instance
+        instead: options that take the place of those in the fields of these names
     """
-    defaults: dict[str, Any] = {each.name: each.default for each in fields(model)}
+    defaults = {each.name: instead.get(each.name, each.default) for each in fields(model)}
     declared = {field: default.make(field) for field, default in defaults.items()}
 
     def decorate(function: Any) -> Any:

@@ -92,8 +92,8 @@ REQUEST_OPTIONS: Final[dict[str, RequestOption]] = {
         DynamicRange(),
     ),
     "count": RequestOption(
-        "Number of exposures.  [default: as many as pay: with more time the accuracy grows no "
-        f"faster than by averaging; {DEFAULT_COUNT} where they are chosen by xi]",
+        "Number of exposures.  [default: as many as pay: beyond them, more time brings no more "
+        f"than averaging frames does; {DEFAULT_COUNT} where they are chosen by xi]",
         "N",
         COUNT,
     ),

@@ -13,7 +13,7 @@ from camctl.cli.capture_output import Complete, capture_progress, show_capture
 from camctl.cli.commands import command
 from camctl.cli.options import CameraOptions
 from camctl.cli.output import print_warning
-from camctl.cli.parameter_types import PATH
+from camctl.cli.parameter_types import CAMERA, PATH
 from camctl.cli.series.run import HookOptions, check_keys, hook_options, run_series
 from camctl.errors import DataError, UsageError
 from camctl.messages.command_line import word
@@ -26,6 +26,19 @@ if TYPE_CHECKING:
 _AS_BEGUN = "the capture goes on with the options that it was begun with"
 
 
+_camera_options = options.option_group(
+    CameraOptions,
+    "camera",
+    camera_id=options.declare(
+        "--camera ID",
+        "Camera; `camctl cameras` lists the ids.  [default: the camera of the capture]",
+        CAMERA,
+        default="sim",
+        show_default=False,
+    ),
+)
+
+
 @command(
     examples=(
         ("camctl resume hall", "shoot the missing frames, with the camera of the capture"),
@@ -35,15 +48,15 @@ _AS_BEGUN = "the capture goes on with the options that it was begun with"
     others_refused=_AS_BEGUN,
 )
 @click.argument("directory", type=PATH, metavar="DIR")
-@options.camera_options
+@_camera_options
 @hook_options
 @options.as_json
 def resume(directory: Path, camera: CameraOptions, hook: HookOptions, as_json: bool) -> None:
     """Complete a capture or a series that was interrupted.
 
     Shoots what is missing in DIR, with the options that it was begun with. It opens the camera of
-    the capture, unless --camera and its options name it again; the command of --hook is not kept,
-    and is given again.
+    the capture, unless --camera and its options name it again. The command of --hook is not kept
+    and must be given again.
     """
     given = options.given(click.get_current_context())
     if "camera_id" not in given and (others := sorted(options.CAMERA_PARAMETERS & given)):

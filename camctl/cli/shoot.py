@@ -39,7 +39,7 @@ PICTURE_OPTIONS = (
 
 @command(
     examples=(
-        ("camctl shoot", "the simulated camera: tile floor, equal contrast, 3 exposures"),
+        ("camctl shoot", "the simulated camera: a tile floor with equal contrast"),
         ("camctl shoot --range high -n 4 --sensor phone -o hall", "10 bits, Bayer mosaic"),
         ("camctl shoot --camera v4l2:/dev/video0 -O format=y16", "a webcam, in 16 bits"),
         ("camctl preview", "what the camera sees, in three responses; nothing is shot"),

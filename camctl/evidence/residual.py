@@ -147,11 +147,6 @@ class Pair:
             )
         ]
 
-    @cached_property
-    def compared(self) -> float:
-        """Share of the samples of the patches that the longer frame does not saturate."""
-        return float(np.mean(self.samples[1] < self.saturated))
-
     def limits(self, sigmas: float) -> Limits:
         """Return the brightness that holds the light within `sigmas` standard deviations.
 

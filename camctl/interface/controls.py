@@ -23,7 +23,7 @@ from camctl.interface.control_values import Choices as Choices
 from camctl.interface.control_values import Control as Control
 from camctl.interface.control_values import Steps as Steps
 from camctl.messages.plain import sentence
-from camctl.model.noise import FrameNoise, MeasuredNoise, NoiseModel
+from camctl.model.noise import FrameNoise, NoiseModel
 from camctl.model.response.camera import CameraResponse, linear_response
 
 
@@ -255,20 +255,10 @@ class ExposureControls:
         exposures = [self.exposure(setting) for setting in settings]
         return tuple(exposure / min(exposures) for exposure in exposures)
 
-    def frame_noise(
-        self, settings: Sequence[ExposureSetting], measured: MeasuredNoise | None = None
-    ) -> tuple[FrameNoise, ...]:
-        """Return the noise of a frame at each setting; where it is unknown the measured one.
-
-        None is returned as noise where it was not measured, either.
-        """
+    def frame_noise(self, settings: Sequence[ExposureSetting]) -> tuple[FrameNoise, ...]:
+        """Return the noise of a frame at each setting; no noise where it is not known."""
         if self.noise is None:
-            electrons = (measured and measured.electrons_per_level) or math.inf
-            read = measured.read_noise_levels if measured else 0.0
-            return tuple(
-                FrameNoise(electrons / each.gain, read * each.gain, black=self.black)
-                for each in settings
-            )
+            return (FrameNoise(math.inf, 0.0, black=self.black),) * len(settings)
         return tuple(
             self.noise.frame(gain=each.gain, time_s=each.time_s, black=self.black)
             for each in settings

@@ -230,11 +230,6 @@ class SimulationStudy:
             for point in points
         ]
 
-    @property
-    def methods(self) -> list[str]:
-        """The methods that have points, camctl first."""
-        return list(dict.fromkeys(point.method for points in self.points for point in points))
-
     def in_words(self) -> list[str]:
         """Return what fidelity costs, a sentence for each method: medians over the runs."""
         complete = [

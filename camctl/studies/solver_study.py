@@ -307,10 +307,10 @@ class SolverStudy:
             for curve in curves
         )
 
-    def time_to(self, case: Case, method: str, regret: float) -> float:
-        """Return the median CPU time to a regret, s; infinite where half of the runs miss it."""
+    def time_to(self, case: Case, method: str) -> float:
+        """Return the median CPU time to `ENOUGH`, s; infinite where half of the runs miss it."""
         return median(
-            next((spent for spent, reached in curve if reached <= regret), math.inf)
+            next((spent for spent, reached in curve if reached <= ENOUGH), math.inf)
             for curve in self.curves(case, method)
         )
 
@@ -322,7 +322,7 @@ class SolverStudy:
         sentences = []
         for method in dict.fromkeys(run.method for run in self.runs):
             cases = [case for case in self.cases if self._of(case, method)]
-            times = [self.time_to(case, method, ENOUGH) for case in cases]
+            times = [self.time_to(case, method) for case in cases]
             reached = [time_s for time_s in times if math.isfinite(time_s)]
             after = f", after {median(reached):.2g} s" if reached else ""
             sentences.append(

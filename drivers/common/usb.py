@@ -134,8 +134,8 @@ def device_name(device: Any) -> str:
     return f"{name} at USB {device.bus:03d}:{device.address:03d}"
 
 
-def usb_identity(device: Any, driver: str) -> CameraInfo:
-    """Return the identity in a device's descriptors; the id is DRIVER:SERIAL or DRIVER:BUS:ADDRESS.
+def usb_identity(device: Any) -> CameraInfo:
+    """Return the identity in a device's descriptors; the id is ptp:SERIAL or ptp:BUS:ADDRESS.
 
     Claims no interface and opens no session, so that a camera in use can be listed as well.
     """
@@ -143,12 +143,12 @@ def usb_identity(device: Any, driver: str) -> CameraInfo:
     # A serial number with a colon would be taken for bus and address.
     address = serial if serial and ":" not in serial else f"{device.bus:03d}:{device.address:03d}"
     return CameraInfo(
-        f"{driver}:{address}",
+        f"ptp:{address}",
         usb_string(device, device.iManufacturer, "manufacturer")
         or f"USB vendor {device.idVendor:04x}",
         usb_string(device, device.iProduct, "product") or f"product {device.idProduct:04x}",
         serial,
-        driver,
+        "ptp",
     )
 
 

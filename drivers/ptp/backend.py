@@ -47,7 +47,7 @@ class PtpBackend:
             CameraNotFoundError: libusb is missing
         """
         return tuple(
-            replace(usb_identity(device, "ptp"), remark=_remark(device.idVendor))
+            replace(usb_identity(device), remark=_remark(device.idVendor))
             for device in self._devices()
         )
 
@@ -71,7 +71,7 @@ class PtpBackend:
 
     def _find(self, address: str) -> Any:
         devices = list(self._devices())
-        known = [usb_identity(device, "ptp") for device in devices]
+        known = [usb_identity(device) for device in devices]
         place = re.fullmatch(r"0*(\d+):0*(\d+)", address)
         matching = [
             device

@@ -133,7 +133,7 @@ class PtpCamera(StillCamera):
             self._save_times(overlaps=self._sequence.overlaps)
 
     def _identity(self) -> CameraInfo:
-        descriptors = usb_identity(self._device, "ptp")
+        descriptors = usb_identity(self._device)
         info = self._body.session.info
         return CameraInfo(
             descriptors.id,

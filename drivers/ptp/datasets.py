@@ -142,7 +142,6 @@ class DeviceInfo:
 class ObjectInfo:
     """Description of an object on the card, ISO 15740 section 5.5.2."""
 
-    storage: int
     format: int
     size: int
     columns: int
@@ -155,7 +154,7 @@ class ObjectInfo:
     def parse(cls, data: bytes) -> ObjectInfo:
         """Return the dataset of GetObjectInfo; some cameras omit the fields after the name."""
         reader = Reader(data, "object information")
-        storage = reader.u32()
+        reader.u32()  # storage
         object_format = reader.u16()
         reader.u16()  # protection
         size = reader.u32()
@@ -166,7 +165,7 @@ class ObjectInfo:
         reader.take(2 + 4 + 4)  # association, sequence number
         name = reader.string()
         captured = reader.string() if reader.left else ""
-        return cls(storage, object_format, size, columns, rows, parent, name, captured)
+        return cls(object_format, size, columns, rows, parent, name, captured)
 
 
 @dataclass(frozen=True)

@@ -198,14 +198,12 @@ class Dial:
     Attributes:
         name: field of `camctl.ExposureSetting`
         scale: the meaning of its numbers
-        data_type: PTP data type of its numbers
         control: its settings, SI units
         is_stepped: True if the camera accepts steps up and down instead of a number
     """
 
     name: str
     scale: Scale
-    data_type: int
     control: Control
     is_stepped: bool = False
     _numbers: Mapping[float, int] = field(default_factory=dict)
@@ -253,7 +251,7 @@ def make_dial(
         numbers = [n for n in description.choices if isinstance(n, int)]
     span = description.span if description.span not in _ANY_NUMBER else None
     if not numbers and span is not None and scale.unit is not None:
-        return Dial(name, scale, description.data_type, _steps(scale, description))
+        return Dial(name, scale, _steps(scale, description))
     others = () if numbers or not description.is_writable else _within(scale, span, listed)
     if not numbers and not others and isinstance(description.current, int):
         numbers = [description.current]  # nothing to choose from: it stays at this setting
@@ -265,7 +263,7 @@ def make_dial(
     if not by_value:
         return None
     control = Choices(tuple(sorted(by_value)))
-    return Dial(name, scale, description.data_type, control, bool(others) and is_stepped, by_value)
+    return Dial(name, scale, control, bool(others) and is_stepped, by_value)
 
 
 def _within(

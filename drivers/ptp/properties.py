@@ -124,21 +124,21 @@ class Properties:
         answer = self._session.call(Op.PANASONIC_DESCRIPTION, code, 0, 0, task=task)
         return parse_panasonic_property(answer.data, code)
 
-    def number(self, code: int, *, busy_s: float | None = None) -> int | None:
+    def number(self, code: int) -> int | None:
         """Return the current number of a property; None if the camera does not report it."""
         task = f"report property {code:04X}"
         value: Value
         if code > _LAST_STANDARD_CODE:
-            answer = self._session.call(Op.PANASONIC_GET, code, task=task, busy_s=busy_s)
+            answer = self._session.call(Op.PANASONIC_GET, code, task=task)
             value = parse_panasonic_value(answer.data)
         elif self._dialect.source in (Source.EACH_PROPERTY, Source.PANASONIC):
             description = self._known.get(code)
             if description is None:
                 return None
-            answer = self._session.call(Op.GET_PROPERTY, code, task=task, busy_s=busy_s)
+            answer = self._session.call(Op.GET_PROPERTY, code, task=task)
             value = Reader(answer.data, "property").value(description.data_type)
         else:
-            self.refresh(busy_s=busy_s)
+            self.refresh()
             description = self._known.get(code)
             value = description.current if description else ""
         return value if isinstance(value, int) else None

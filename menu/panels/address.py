@@ -31,21 +31,20 @@ class PanelAddress:
                 f"invalid {name}={text} of the panel", hint=f"use a number, such as {default}"
             ) from error
 
-    def size(self, name: str, default: tuple[int, int], least: tuple[int, int]) -> tuple[int, int]:
-        """Return an option that is a size, such as 20x4.
+    def size(self, least: tuple[int, int]) -> tuple[int, int]:
+        """Return the option `size`, such as 20x4, or else the `least` one.
 
         Raises:
             UsageError: it is none, or smaller than `least`
         """
-        text = self.options.get(name)
+        text = self.options.get("size")
         if text is None:
-            return default
+            return least
         columns, _, rows = text.partition("x")
         is_size = columns.isascii() and columns.isdigit() and rows.isascii() and rows.isdigit()
         if not is_size or int(columns) < least[0] or int(rows) < least[1]:
             raise UsageError(
-                f"invalid {name}={text} of the panel",
-                hint=f"use {least[0]}x{least[1]} or more, such as {default[0]}x{default[1]}",
+                f"invalid size={text} of the panel", hint=f"use {least[0]}x{least[1]} or more"
             )
         return int(columns), int(rows)
 

@@ -85,7 +85,7 @@ class Hd44780Panel(KeyedPanel):
         parsed = parse_address(address, ("at", "size", *KEY_OPTIONS))
         self._path = parsed.words[0]
         self._at = parsed.number("at", 0x27)
-        self._columns, self._rows = parsed.size("size", SMALLEST, SMALLEST)
+        self._columns, self._rows = parsed.size(SMALLEST)
         if not 0x03 <= self._at <= 0x77 or self._columns * self._rows > 80 or self._rows > 4:
             raise UsageError(
                 f"no HD44780 of {self._columns} x {self._rows} characters at {self._at:#x}",

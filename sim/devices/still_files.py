@@ -73,10 +73,10 @@ def encode(form: str, image: RawImage, *, grey: bool = True, quality: int = 95) 
     return _ENCODERS[form](image, grey, quality)
 
 
-def thumbnail(image: RawImage, *, rows: int = 120) -> bytes:
-    """Return a small JPEG, at most `rows` high."""
+def thumbnail(image: RawImage) -> bytes:
+    """Return a small JPEG, at most 120 rows high."""
     picture = _eight_bits(_developed(image, grey=False), image.bits)
-    scale = min(1.0, rows / picture.shape[0])
+    scale = min(1.0, 120 / picture.shape[0])
     size = (max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale)))
     return _cv2_jpeg(reduced_by_area(picture, size), 80)
 

@@ -103,7 +103,7 @@ def _patch(words: Sequence[str], where: str) -> ChartPatch:
     if len(numbers) not in (5, 7):
         raise DataError(
             f"{where}: expected 5 or 7 numbers",
-            hint="give x, y, width, height in pixels, and the reflectance or those in R, G, and B",
+            hint="give x, y, width, height in pixels, and one reflectance, or three for R, G and B",
         )
     x, y, width, height, *reflectance = numbers
     if not (min(x, y) >= 0 and min(width, height) >= 1 and math.isfinite(sum(numbers[:4]))):

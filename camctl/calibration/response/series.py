@@ -133,10 +133,6 @@ class Series:
         self.names.append(name)
         self.exposures.append(exposure)
 
-    def histogram(self, position: int, channel: str) -> NDArray[np.int64]:
-        """Return the number of pixels of each brightness in a frame, (2^bits,)."""
-        return self._counts[position][channel]
-
     def counts_between(self, channel: str, edges: FloatArray) -> NDArray[np.int64]:
         """Return the pixels of each frame below, between and from edges, (frames, edges + 1)."""
         places = np.concatenate([[0], edges.astype(np.intp)])

@@ -120,8 +120,8 @@ def _consequence(result: DelayResult) -> str:
 )
 @option(
     "--response NAME",
-    "Response of the camera: linear, srgb, rec709, or power:GAMMA.  [default: the measured one, "
-    "else that which the camera states; with --from else linear]",
+    "Response of the camera: linear, srgb, rec709, or power:GAMMA.  [default: as measured, else "
+    "as the camera states; with --from else linear]",
     Text(),
 )
 @options.as_json

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 @options.longest()
 @option(
     "--response NAME",
-    "Response of the camera: linear, srgb, rec709, or power:GAMMA.  [default: the measured one, "
-    "else that which the camera states; of JPEG files srgb, of others linear]",
+    "Response of the camera: linear, srgb, rec709, or power:GAMMA.  [default: as measured, else "
+    "as the camera states; for JPEG files srgb, for others linear]",
     Text(),
 )
 @options.as_json

@@ -53,8 +53,8 @@ if TYPE_CHECKING:
 @options.longest("Longest shutter time to use.  [default: 2; with --dark 4]", default=None)
 @option(
     "--response NAME",
-    "Response of the camera or of FILES: linear, srgb, rec709, or power:GAMMA.  [default: the "
-    "measured one of the camera, else that which it states; of FILES srgb for JPEG, else linear]",
+    "Response of the camera or of FILES: linear, srgb, rec709, or power:GAMMA.  [default: as "
+    "measured, else as the camera states; for JPEG files srgb, for others linear]",
     Text(),
 )
 @option("--report FILE.md", "Write the figures of EMVA 1288 to a Markdown file.", PATH)

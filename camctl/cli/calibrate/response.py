@@ -52,7 +52,7 @@ _SHARES = (0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0)
 @option(
     "--patches FILE",
     "Patches in the picture: in each line x, y, width, height in pixels, from the upper left "
-    "corner, and the reflectance, or those in R, G and B.",
+    "corner, and one reflectance, or three for R, G and B.",
     PATH,
 )
 @option(
@@ -80,7 +80,7 @@ def response(
     many shades between. No chart is needed. With --camera (or without FILES) a series is shot that
     suits the light, and the result is kept in the camera's profile if it is exact enough (7 %);
     FILES are photographs, or the folder of a complete capture. With --chart or --patches one
-    photograph is enough; with several, what they say is added.
+    photograph is enough; several are used together.
     """
     from camctl.calibrate import response as measure
 

@@ -76,7 +76,7 @@ class Brackets:
         "Methods to compare with the front: xi (least missing levels), paper (its printed "
         "table), hasinoff (best worst-case signal-to-noise ratio, with gain), equal (averaging), "
         "doubling (1, 2, 4, ..., also the 3, 5 or 7 frames that cameras offer), 2-stop and 3-stop "
-        "(cameras, too: so far apart).",
+        "(frames so far apart, which cameras offer, too).",
         ListOf(Name("method", METHODS), unique=True),
         default=",".join(METHODS),
     )
@@ -153,7 +153,10 @@ bracket_options = options.option_group(Brackets, "brackets")
         ("camctl tradeoff capture", "the front and all methods, on the simulated camera"),
         ("camctl tradeoff capture --response linear -n 1,2,3,4", "for a linear picture"),
         ("camctl tradeoff capture --sensor webcam --plot webcam.svg", "another sensor, and a plot"),
-        ("camctl tradeoff capture --methods doubling --json", "one method beside it, as JSON rows"),
+        (
+            "camctl tradeoff capture --methods doubling --json",
+            "one other method, as JSON rows",
+        ),
         ("camctl tradeoff capture --again rows.json", "the runs of such rows once more"),
     )
 )
@@ -179,7 +182,7 @@ def capture(
     The front has the most accurate settings for each time, over all that the camera can set.
     Accuracy is the number of effective levels with the camera's noise: predicted, and measured
     against the scene in real captures of the simulated camera. Time lasts from the first request
-    until the last frame has arrived. E = 1 is full scale of the shortest exposure in both.
+    until the last frame has arrived. Both are relative to full scale of the shortest exposure.
     """
     study.check(context, set(vars(brackets)))
     from camctl.studies.capture_plot import draw_study

@@ -150,8 +150,6 @@ def solver(
 
 def _to_text(study: SolverStudy) -> str:
     """Return a table: median regret after some CPU times, and the time to a regret of 0.5 %."""
-    from camctl.studies.solver_study import ENOUGH
-
     longest = max(run.limit_s for run in study.runs)
     times = [time_s for time_s in TIMES_S if time_s <= longest] or [longest]
     rows = []
@@ -160,7 +158,7 @@ def _to_text(study: SolverStudy) -> str:
         name = f"{response}, {range_text(dynamic_range)}, n = {n}"
         for method in dict.fromkeys(run.method for run in study.runs if run.case == case):
             regrets = [study.regret_at(case, method, time_s) for time_s in times]
-            reached = study.time_to(case, method, ENOUGH)
+            reached = study.time_to(case, method)
             rows.append(
                 (
                     name,

@@ -120,14 +120,14 @@ class TestIdentity:
 
     def test_the_id_is_the_serial_number(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.read_strings(monkeypatch, "Maker\0\n", " Model ", "A77")
-        info = usb_identity(Device(), "ptp")
+        info = usb_identity(Device())
         assert (info.id, info.make, info.model, info.serial) == ("ptp:A77", "Maker", "Model", "A77")
 
     def test_a_serial_number_like_an_address_is_not_used_as_id(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         self.read_strings(monkeypatch, "Maker", "Model", "1:2")
-        assert usb_identity(Device(), "ptp").id == "ptp:003:007"
+        assert usb_identity(Device()).id == "ptp:003:007"
 
     @pytest.mark.parametrize(
         "error",
@@ -138,7 +138,7 @@ class TestIdentity:
         self, monkeypatch: pytest.MonkeyPatch, error: Exception
     ) -> None:
         self.read_strings(monkeypatch, error, error, error)
-        info = usb_identity(Device(), "ptp")
+        info = usb_identity(Device())
         assert (info.id, info.serial) == ("ptp:003:007", "")
         assert (info.make, info.model) == ("USB vendor 04b0", "product 0428")
         assert device_name(Device()) == "the camera at USB 003:007"
@@ -151,5 +151,5 @@ class TestIdentity:
         monkeypatch.setattr("camctl.drivers.common.usb._SYSFS", tmp_path)
         (tmp_path / "3-1.4").mkdir()
         (tmp_path / "3-1.4" / "serial").write_text("A77\n")
-        info = usb_identity(Device(), "ptp")
+        info = usb_identity(Device())
         assert (info.id, info.model) == ("ptp:A77", "product 0428")

@@ -37,7 +37,7 @@ KNOWN = KnownFormat("raw", STILL.record)
     ],
 )
 def test_the_format_follows_from_name_and_code(name: str, code: int, expected: str | None) -> None:
-    info = ObjectInfo(1, code, 10, 0, 0, 0, name, "")
+    info = ObjectInfo(code, 10, 0, 0, 0, name, "")
     assert format_of(info) == expected
     assert expected is None or expected in FORMATS
 
