@@ -41,7 +41,7 @@ CODES: Final[dict[str, str]] = {
     "curve_repaired": "nothing: the curve of the camera was repaired; `repair` says how",
     "setting_differs": "what the camera sets instead of the requested value; `field` names it",
     "base_shortened": "shortest exposure, s: shorter than the light allows by `stops`, so that the "
-    "longest one is within the camera's controls",
+    "longest one is within the camera's controls, or leaves `results_per_second`",
     "flicker": "shutter time that is not a whole number of the lamps' flicker periods, s",
     "steps_cost_levels": "effective levels that the camera's steps allow",
     "time_differs": "time until the last frame arrived, s",

@@ -93,7 +93,16 @@ class LivePlanner:
                 f"an exposure of {longest:.3g} s leaves fewer than {self.fps:g} results a second",
                 hint="ask for fewer results, or for shorter exposures",
             )
-        return plan
+        if self.controls.time_s == self._camera.controls.time_s:
+            return plan
+        rate = {"results_per_second": self.fps}  # which is why the shortest exposure is shorter
+        findings = tuple(
+            each.model_copy(update={"details": each.details | rate})
+            if each.code == "base_shortened"
+            else each
+            for each in plan.findings
+        )
+        return replace(plan, findings=findings)
 
 
 def _up_to(times: Control, longest_s: float) -> Control:

@@ -66,6 +66,15 @@ def _delay_settled(finding: Finding) -> str:
     )
 
 
+def _base_shortened(finding: Finding) -> str:
+    fps = finding.details.get("results_per_second")
+    why = f"leaves {fps:.3g} results a second" if fps else "is within the camera's controls"
+    return (
+        f"the shortest exposure is {finding.value:.4g} s, {finding.details['stops']:.1f} stops "
+        f"less than the light allows, so that the longest one {why}"
+    )
+
+
 def _stream_settles(_: Finding) -> str:
     return (
         "exposures took effect at other frames than the known control delay says: from now on the "
@@ -309,10 +318,7 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
         "aperture, or put a filter before the lens"
     ),
     "setting_differs": _setting_differs,
-    "base_shortened": lambda finding: (
-        f"the shortest exposure is {finding.value:.4g} s, {finding.details['stops']:.1f} stops "
-        "less than the light allows, so that the longest one is within the camera's controls"
-    ),
+    "base_shortened": _base_shortened,
     "steps_cost_levels": lambda finding: (
         f"the camera's steps allow {finding.value:.0f} effective levels; the requested ratios "
         f"would give {finding.details['possible']:.0f}"

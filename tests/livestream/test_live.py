@@ -20,6 +20,7 @@ from camctl.exposure.goal import CaptureRequest
 from camctl.interface.controls import ExposureSetting
 from camctl.livestream.result import LiveResult
 from camctl.livestream.stream import Live
+from camctl.messages.plain import sentence
 from camctl.sim.camera import Faults, SimulatedCamera
 from camctl.sim.scenes.scene import Scene
 from camctl.sim.sensors.sensor import load_sensor
@@ -154,6 +155,15 @@ def test_light_out_of_reach_is_a_finding() -> None:
         opened._renderer = brighter._renderer
         last = results(live, 80)[-1]
     assert "light_above_range" in {finding.code for finding in last.findings}
+
+
+def test_a_rate_that_shortens_the_exposures_is_named() -> None:
+    with (
+        camera(gradient(*SHAPE) / 100) as opened,
+        camctl.live(opened, CaptureRequest(count=3), fps=12) as live,
+    ):
+        (found,) = [each for each in next(live).findings if each.code == "base_shortened"]
+    assert sentence(found).endswith("so that the longest one leaves 12 results a second")
 
 
 def test_a_wrong_control_delay_is_settled() -> None:
