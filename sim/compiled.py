@@ -40,6 +40,7 @@ from camctl.system.compiled_functions import LoadedLater, compiler
 
 Light = NDArray[np.float32]
 Counts = NDArray[np.float64]
+Bits = NDArray[np.uint32]  # uniform numbers: (bits + 1/2) / 2^32
 
 SAMPLES_WORTH_LOADING = 1 << 27
 """Samples that a camera renders before the compiled functions are loaded on their own: without
@@ -88,31 +89,38 @@ def _add_noise(
 
 _CELL, _FIRST, _PART = np.uint64(CELL_SHIFT), np.uint64(FIRST_PLACE), np.uint64(PART_SHIFT)
 _LOW_MEAN, _ROWS, _UNSURE = np.float32(LEAST_EXPANDED), np.float32(GUIDE_STEPS), np.uint8(UNSURE)
+_UNIT, _HALF = 2.0**-32, np.uint32(2**31 - 1)
+_GUIDE_SHIFT = np.uint32(32 - (GUIDE_CELLS.bit_length() - 1))
 _PART_MASK, _PART_UNIT = np.uint64((1 << PART_BITS) - 1), 2.0**-PART_BITS
 
 
-def _add_uniform(state: NDArray[np.uint64], unit: float, first: float, out: Counts) -> None:
-    """Set each of `out` (a multiple of 4) to ``(out + bits + first) unit``, with 16 bits of SFC64.
+def _draw(coarse: NDArray[np.uint64], fine: NDArray[np.uint64], bits: Bits) -> None:
+    """Set `bits` (a multiple of 4) to 16 high bits of one generator (SFC64) and 16 of another.
 
-    The state is left as it then is.
+    Their states are left as they then are.
     """
-    a, b, c, counter = state[0], state[1], state[2], state[3]
-    for i in range(0, out.size, 4):
-        word = a + b + counter
+    a, b, c, counter = coarse[0], coarse[1], coarse[2], coarse[3]
+    p, q, r, number = fine[0], fine[1], fine[2], fine[3]
+    for i in range(0, bits.size, 4):
+        high = a + b + counter
         counter += _ONE
         a = b ^ (b >> _11)
         b = c + (c << _3)
-        c = ((c << _24) | (c >> _40)) + word
-        out[i] = (out[i] + np.float64(np.int32(word & _LOW)) + first) * unit
-        out[i + 1] = (out[i + 1] + np.float64(np.int32((word >> _16) & _LOW)) + first) * unit
-        out[i + 2] = (out[i + 2] + np.float64(np.int32((word >> _32) & _LOW)) + first) * unit
-        out[i + 3] = (out[i + 3] + np.float64(np.int32(word >> _48)) + first) * unit
-    state[0], state[1], state[2], state[3] = a, b, c, counter
+        c = ((c << _24) | (c >> _40)) + high
+        low = p + q + number
+        number += _ONE
+        p = q ^ (q >> _11)
+        q = r + (r << _3)
+        r = ((r << _24) | (r >> _40)) + low
+        bits[i] = ((high & _LOW) << _16) | (low & _LOW)
+        bits[i + 1] = (high & (_LOW << _16)) | ((low >> _16) & _LOW)
+        bits[i + 2] = ((high >> _16) & (_LOW << _16)) | ((low >> _32) & _LOW)
+        bits[i + 3] = ((high >> _32) & (_LOW << _16)) | (low >> _48)
+    coarse[0], coarse[1], coarse[2], coarse[3] = a, b, c, counter
+    fine[0], fine[1], fine[2], fine[3] = p, q, r, number
 
 
-def _look_up(
-    uniform: Counts, counts: NDArray[np.uint8], means: Light, left: NDArray[np.int64]
-) -> int:
+def _look_up(bits: Bits, counts: NDArray[np.uint8], means: Light, left: NDArray[np.int64]) -> int:
     """Replace low means at the places `left` by their Poisson quantiles where the guide gives them.
 
     Returns:
@@ -124,14 +132,14 @@ def _look_up(
         count = _UNSURE
         if means[i] < _LOW_MEAN:
             row = np.uint64(np.int32(means[i] * _ROWS))
-            count = counts[row, np.uint64(np.int32(uniform[i] * GUIDE_CELLS))]
+            count = counts[row, np.uint64(bits[i] >> _GUIDE_SHIFT)]
         left[found] = i
         found += count == _UNSURE
         means[i] = means[i] if count == _UNSURE else np.float32(count)
     return found
 
 
-def _expand(uniform: Counts, normal: Counts, means: Light, left: NDArray[np.int64]) -> int:
+def _expand(bits: Bits, normal: Counts, means: Light, left: NDArray[np.int64]) -> int:
     """Replace means by their Poisson quantiles where the expansion gives them.
 
     The expansion is the one of `camctl.sim.photon_counts.poisson_quantiles`.
@@ -143,13 +151,13 @@ def _expand(uniform: Counts, normal: Counts, means: Light, left: NDArray[np.int6
     count = means.size
     tail, w, value = np.empty(count), np.empty(count), np.empty(count)
     for i in range(count):
-        tail[i] = min(uniform[i], 1.0 - uniform[i])
-    bits = tail.view(np.uint64)
+        tail[i] = (np.float64(min(bits[i], ~bits[i])) + 0.5) * _UNIT
+    places = tail.view(np.uint64)
     for i in range(count):
-        place = (bits[i] >> _CELL) - _FIRST
-        part = np.float64(np.int32((bits[i] >> _PART) & _PART_MASK)) * _PART_UNIT
+        place = (places[i] >> _CELL) - _FIRST
+        part = np.float64(np.int32((places[i] >> _PART) & _PART_MASK)) * _PART_UNIT
         z = normal[place] + part * (normal[place + _ONE] - normal[place])
-        w[i] = z if uniform[i] > 0.5 else -z
+        w[i] = z if bits[i] > _HALF else -z
     for i in range(count):
         mean = max(np.float64(means[i]), 1.0)  # lower ones are left
         root = np.sqrt(mean)
@@ -173,7 +181,7 @@ def _expand(uniform: Counts, normal: Counts, means: Light, left: NDArray[np.int6
 
 
 def _add_up(
-    uniform: Counts, exponentials: Counts, inverses: Counts, means: Light, left: NDArray[np.int64]
+    bits: Bits, exponentials: Counts, inverses: Counts, means: Light, left: NDArray[np.int64]
 ) -> None:
     """Replace the means at the places `left` by their Poisson quantiles: probabilities added up.
 
@@ -183,7 +191,7 @@ def _add_up(
     mean, u, number = np.empty(count), np.empty(count), np.zeros(count)
     term, total, highest = np.empty(count), np.empty(count), 0.0
     for j in range(count):
-        mean[j], u[j] = means[left[j]], uniform[left[j]]
+        mean[j], u[j] = means[left[j]], (np.float64(bits[left[j]]) + 0.5) * _UNIT
         highest = max(highest, mean[j])
     for j in range(count):
         step = math.floor(mean[j] * STEPS + 0.5)
@@ -229,10 +237,10 @@ class Kernels:
     """The compiled functions; all release the lock of Python."""
 
     add_noise: Callable[[NDArray[np.uint64], Light, Light, bool], None]
-    add_uniform: Callable[[NDArray[np.uint64], float, float, Counts], None]
-    look_up: Callable[[Counts, NDArray[np.uint8], Light, NDArray[np.int64]], int]
-    expand: Callable[[Counts, Counts, Light, NDArray[np.int64]], int]
-    add_up: Callable[[Counts, Counts, Counts, Light, NDArray[np.int64]], None]
+    draw: Callable[[NDArray[np.uint64], NDArray[np.uint64], Bits], None]
+    look_up: Callable[[Bits, NDArray[np.uint8], Light, NDArray[np.int64]], int]
+    expand: Callable[[Bits, Counts, Light, NDArray[np.int64]], int]
+    add_up: Callable[[Bits, Counts, Counts, Light, NDArray[np.int64]], None]
     add_bow: Callable[[Light, np.float32, np.float32], None]
     quantise: Callable[[Light, np.float32, np.float32, np.float32, NDArray[Any]], None]
 
@@ -247,17 +255,18 @@ def load() -> Kernels | None:
     compiled = compiler()
     if compiled is None:
         return None
-    functions = (_add_noise, _add_uniform, _look_up, _expand, _add_up, _add_bow, _quantise)
+    functions = (_add_noise, _draw, _look_up, _expand, _add_up, _add_bow, _quantise)
     kernels = Kernels(*(compiled(function) for function in functions))
     light, table = np.ones(1, np.float32), np.ones(1 << 16, np.float32)
     table.setflags(write=False)
     kernels.add_noise(np.ones(4, np.uint64), table, light, False)
-    kernels.add_uniform(np.ones(4, np.uint64), 1.0, 0.5, np.zeros(4))
+    bits = np.full(4, 1 << 31, np.uint32)
+    kernels.draw(np.ones(4, np.uint64), np.ones(4, np.uint64), bits)
     normal, exponentials, inverses = tables()
-    uniform, left = np.full(1, 0.5), np.zeros(1, np.int64)
-    kernels.look_up(uniform, guide(), light, left)
-    kernels.expand(uniform, normal, light, left)
-    kernels.add_up(uniform, exponentials, inverses, light, left)
+    left = np.zeros(1, np.int64)
+    kernels.look_up(bits, guide(), light, left)
+    kernels.expand(bits, normal, light, left)
+    kernels.add_up(bits, exponentials, inverses, light, left)
     kernels.add_bow(light, _TWO, _ZERO)
     for dtype in (np.uint8, np.uint16):
         kernels.quantise(light, _TWO, _ZERO, _TWO, np.empty(1, dtype))

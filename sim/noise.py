@@ -121,18 +121,18 @@ def line_noise(
     return np.clip(both, -most, most).astype(np.float32)
 
 
-def _count(kernels: Kernels, means: NDArray[np.float32], uniform: NDArray[np.float64]) -> None:
+def _count(kernels: Kernels, means: NDArray[np.float32], bits: NDArray[np.uint32]) -> None:
     """Replace means by their Poisson quantiles, in place, with compiled functions."""
     normal, exponentials, inverses = tables()
     if means.max() >= LEAST_EXPANDED:
         left = np.empty(means.size, np.int64)
-        left = left[: kernels.expand(uniform, normal, means, left)]
+        left = left[: kernels.expand(bits, normal, means, left)]
     else:
         left = np.arange(means.size)
     if left.size:
-        left = left[: kernels.look_up(uniform, guide(), means, left)]
+        left = left[: kernels.look_up(bits, guide(), means, left)]
     if left.size:
-        kernels.add_up(uniform, exponentials, inverses, means, left)
+        kernels.add_up(bits, exponentials, inverses, means, left)
 
 
 class TileNoise:
@@ -220,10 +220,9 @@ class TileNoise:
             fine = _state(seed, frame, Stream.PHOTON_FINE, tile)
             for start in range(0, count, _COUNTED):
                 means = electrons[start : start + _COUNTED]
-                uniform = np.zeros(-4 * (-means.size // 4))  # four to a word of random bits
-                self.kernels.add_uniform(coarse, 65536.0, 0.0, uniform)
-                self.kernels.add_uniform(fine, 2.0**-32, 0.5, uniform)
-                _count(self.kernels, means, uniform)
+                bits = np.empty(-4 * (-means.size // 4), np.uint32)  # four to a word of random bits
+                self.kernels.draw(coarse, fine, bits)
+                _count(self.kernels, means, bits)
             return
         uniform = tile_bits(seed, frame, Stream.PHOTON, tile, count).astype(np.float64)
         uniform *= 65536.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -125,12 +126,20 @@ def _cosmic(tile: Tile) -> None:
     tile.values[places[low:high] - tile.start] += charges[low:high]
 
 
+def _hit_limit_e(shot: Shot) -> float:
+    """Return a power of two above the largest hit of the frame, electrons; 0 without hits.
+
+    Frames with hits of about the same size thus share a plan.
+    """
+    charges = cosmic_hits(shot)[1]
+    return 2.0 ** math.ceil(math.log2(float(charges.max()))) if charges.size else 0.0
+
+
 def _cosmic_change(shot: Shot) -> Change:
-    places, charges = cosmic_hits(shot)
-    if not places.size:
+    limit = _hit_limit_e(shot)
+    if limit == 0:
         return Change(nothing="none hits this frame")
-    why = f"not left out: {places.size} samples were hit in this frame"
-    return Change(never=why, hit_e=float(charges.max()))
+    return Change(never="not left out: samples were hit in this frame", hit_e=limit)
 
 
 def _bloom(electrons: Light, shot: Shot) -> Light:
@@ -233,7 +242,7 @@ CHARGE = (
         present=lambda shot: shot.sensor.read_out.cosmic_rate_s > 0,
         change=_cosmic_change,
         cost=0.4,
-        varies=lambda shot: shot.number if cosmic_hits(shot)[0].size else None,
+        varies=_hit_limit_e,
         apply=_cosmic,
     ),
     Effect(

@@ -304,7 +304,7 @@ def test_a_plan_is_made_once_for_an_exposure() -> None:
     assert renderer.plan(renderer.shot(2e-3, 1.0, 2)) is not plans[0]
 
 
-def test_a_frame_with_cosmic_rays_has_a_plan_of_its_own() -> None:
+def test_frames_with_hits_of_about_one_size_share_a_plan() -> None:
     sensor = load_sensor("complete")
     fields = sensor.model_dump()
     fields["read_out"]["cosmic_rate_s"] = 1e5
@@ -314,3 +314,27 @@ def test_a_frame_with_cosmic_rays_has_a_plan_of_its_own() -> None:
     hits = [cosmic_hits(shot)[0].size > 0 for shot in shots]
     assert [renderer.plan(shot).runs("cosmic rays") for shot in shots] == hits
     assert 0 < sum(hits) < len(hits)
+    plans = {id(renderer.plan(shot)): renderer.plan(shot) for shot in shots}
+    assert len(plans) < sum(hits) / 2
+    for shot, is_hit in zip(shots, hits, strict=True):
+        largest = float(cosmic_hits(shot)[1].max()) if is_hit else 0.0
+        assert largest <= renderer.plan(shot).bounds.changes["cosmic rays"].hit_e <= 2 * largest
+
+
+def test_a_frame_of_a_known_exposure_is_planned_without_asking_an_effect(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sensor = load_sensor("complete")
+    renderer = Renderer(View.of(load_scene("ramp", (60, 80)), sensor), sensor)
+    first = renderer.plan(renderer.shot(1e-3, 1.0, 0))
+    assert "blooming" in first.left_out
+
+    def must_not_run(*_: object) -> NoReturn:
+        raise AssertionError("planned again")
+
+    monkeypatch.setattr("camctl.sim.render.plan_frame", must_not_run)
+    for effect in EFFECTS:
+        monkeypatch.setitem(vars(effect), "change", must_not_run)
+    again = renderer.plan(renderer.shot(1e-3, 1.0, 1))
+    assert again is first
+    renderer.expose(renderer.shot(1e-3, 1.0, 1), again)
