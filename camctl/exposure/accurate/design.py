@@ -216,6 +216,8 @@ class DesignSearch(TunedSets):
         tuned = _best_of_each(tuned)
         kept = [each for each in tuned if each.mse < tuned[0].mse * NEAR_MSE]
         kept = kept[: IMPROVED if thorough else 2]
+        if thorough and not self.is_list:
+            kept.append(self.scaled(self.evened(kept[0]), limit))
         found = _best_of_each([*(self._improved(each, limit) for each in kept), *tuned])
         if thorough:
             found = _best_of_each([*found, *self._resized_on(found[0], limit)])

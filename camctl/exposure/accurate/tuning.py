@@ -196,6 +196,11 @@ class TunedSets(FrameSets):
             at[place] = first + step * count
         return self.fitted(self._moved(design, at[1:] - design.log_exposure[1:]), limit)
 
+    def evened(self, design: Design) -> Design:
+        """Return a set of the same gains whose ln(exposure) are at equal distances."""
+        even = np.linspace(0.0, design.log_exposure[-1], design.n)
+        return self.design(np.clip(even, *self.limits(design.gain)), design.gain)
+
     def regained(self, design: Design) -> list[Design]:
         """Return a set with the next gain up or down in all frames but the first, or in one."""
         found = []
