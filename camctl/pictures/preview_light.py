@@ -83,9 +83,10 @@ class LightReducer:
 
     def add(self, strip: Strip) -> None:
         """Take the next strip, from top to bottom."""
-        # Noise that is not known counts as none.
+        # Noise that is not known counts as none, and light that may be saturated is not noise.
         deviation = tuple(
-            np.nan_to_num(sd, posinf=np.inf) if np.isnan(sd).any() else sd for sd in strip.deviation
+            sd if np.isfinite(sd).all() else np.where(np.isfinite(sd), sd, np.float32(0))
+            for sd in strip.deviation
         )
         saturated = [(mask & SATURATED) != 0 for mask in strip.mask]
         white = np.zeros_like(saturated[0])

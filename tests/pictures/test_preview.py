@@ -116,6 +116,17 @@ def test_developed_pictures_keep_the_colours_that_the_curve_of_the_camera_made()
     assert np.percentile(np.abs(shown.astype(int) - plain), 90) > 15
 
 
+def test_light_that_may_be_saturated_is_shown_as_the_light_beside_it() -> None:
+    """Beside edges of a JPEG file each frame may be saturated: no bound, and no noise."""
+    light = np.broadcast_to(np.array((0.4, 0.6, 1.0), np.float32), (64, 64, 3)).copy()
+    deviation = 0.02 * light
+    deviation[20:40, 20:40] = np.inf
+    reducer = LightReducer(64, 64, 2.0)
+    reducer.add(strip_of(light, deviation, np.zeros((64, 64, 3), np.uint8)))
+    shown = tone_map(reducer.light()).astype(int)
+    assert np.abs(shown - shown[0, 0]).max() <= 1
+
+
 def test_saturated_light_is_white_whatever_its_channels_say() -> None:
     """Only one channel saturated would be magenta or green."""
     light = np.full((40, 40, 3), 0.1)
