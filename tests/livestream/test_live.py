@@ -159,7 +159,7 @@ def test_light_out_of_reach_is_a_finding() -> None:
 
 def test_a_rate_that_shortens_the_exposures_is_named() -> None:
     with (
-        camera(gradient(*SHAPE) / 100) as opened,
+        camera(gradient(*SHAPE) / np.float32(100)) as opened,
         camctl.live(opened, CaptureRequest(count=3), fps=12) as live,
     ):
         (found,) = [each for each in next(live).findings if each.code == "base_shortened"]
