@@ -281,7 +281,7 @@ def test_limit_of_file_sizes(run: Run, limit: int, file: str, kept: int) -> None
     [
         ("24x16", 200, "not enough memory to load a library; "),
         pytest.param(
-            "6000x4000", 1500, "not enough memory for an array of ", marks=pytest.mark.slow
+            "6000x4000", 540, "not enough memory for an array of ", marks=pytest.mark.slow
         ),
     ],
 )

@@ -267,15 +267,16 @@ def test_signal_while_the_thread_for_frames_starts_keeps_the_frame(
 @pytest.mark.timeout(1200)  # 25 s of processor time, of which a busy machine makes minutes
 # Libraries leave files open where they are interrupted.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("count", [40, pytest.param(150, marks=pytest.mark.proof)])
 def test_signal_at_any_call_leaves_a_capture_that_can_be_resumed(
-    run: Run, cameras: Cameras, tmp_path: Path
+    run: Run, cameras: Cameras, tmp_path: Path, count: int
 ) -> None:
-    """The signal arrives at the k-th call of a Python function in the main thread, for 150 k."""
+    """The signal arrives at `count` of the calls of Python functions in the main thread."""
     run_until(run, tmp_path / "imports", sys.maxsize)  # imports take most of the calls
     total = run_until(run, tmp_path / "whole", sys.maxsize)
     assert total > 2000
     ends = set()
-    for k in range(0, total, total // 150):
+    for k in range(0, total, total // count):
         folder = tmp_path / str(k)
         cameras.opened = cameras.closed = 0
         run_until(run, folder, k)

@@ -1,6 +1,6 @@
 """Kill camctl before each of its file operations; demand all that it had acknowledged until then.
 
-    python crash_witness.py FOLDER SCENARIO STEP [--torn N]
+    python crash_witness.py FOLDER SCENARIO [--every] [--torn N]
     python crash_witness.py FOLDER mutations
 
 A scenario does something that writes files: it takes a capture ("fresh", "resume", "force" over an
@@ -9,11 +9,12 @@ of the cache.  What is acknowledged to the user goes to this process through a p
 outside of the folder: a frame that is saved (the pixels as the camera sent them), a value that is
 kept, and at the end, which is exit status 0, every file with its content.
 
-At each crash point the folder is looked at as a kill leaves it, as a power failure leaves it at
-least, and N times as a power failure leaves it that kept a part of the later writes, in any order
-and torn (see `crash_points.PowerLoss`).  Then what the folder advises is done.  All that was
-acknowledged must be there.  Prints one JSON object for each check.  Folders with the same content,
-of which the same was acknowledged, are checked once.
+Crash points are the first operation of each kind on each kind of file, or all of them.  At each the
+folder is looked at as a kill leaves it, as a power failure leaves it at least, and N times as a
+power failure leaves it that kept a part of the later writes, in any order and torn (see
+`crash_points.PowerLoss`).  Then what the folder advises is done.  All that was acknowledged must be
+there.  Prints one JSON object for each check.  Folders with the same content, of which the same was
+acknowledged, are checked once.
 
 With "mutations" the order of the writes is broken in each way of `crash_mutations` in turn.  The
 points come in a random order until a check finds something wrong; prints what the last one found.
@@ -27,6 +28,7 @@ import argparse
 import json
 import os
 import random
+import re
 import shutil
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -40,7 +42,7 @@ import cv2
 import filelock  # noqa: F401  imported before the fork, once for all crash points
 import numpy as np
 from crash_mutations import MUTATIONS
-from crash_points import PowerLoss, run
+from crash_points import Operation, PowerLoss, run
 from crash_sweep import REQUEST, LyingCamera, checked, damaged, open_camera
 from small_cameras import WrappedCamera
 
@@ -454,6 +456,15 @@ def _all_in(folder: Path) -> list[tuple[str, str]]:
     )
 
 
+def points(operations: Sequence[Operation], *, every: bool) -> list[int]:
+    """Return the numbers of the operations before which the process is killed, and of the end."""
+    kinds: dict[tuple[str, str], int] = {}
+    for number, operation in enumerate(operations):
+        file = re.sub(r"[0-9]+", "0", Path(operation.path).name)
+        kinds.setdefault((operation.name, file), number)
+    return [*(range(len(operations)) if every else kinds.values()), len(operations)]
+
+
 def noticed(base: Path, name: str) -> dict[str, Any]:
     """Return what a sweep finds where the order of the writes is broken."""
     sweep = Sweep(base, MUTATIONS[name].scenario, name)
@@ -469,7 +480,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=Path)
     parser.add_argument("scenario", choices=(*SCENARIOS, "mutations"))
-    parser.add_argument("step", type=int, nargs="?", default=1)
+    parser.add_argument("--every", action="store_true")
     parser.add_argument("--torn", type=int, default=0)
     given = parser.parse_args()
     cv2.setNumThreads(1)
@@ -478,7 +489,7 @@ def main() -> None:
             print(json.dumps(noticed(given.folder / str(place), name)), flush=True)
         return
     sweep = Sweep(given.folder, given.scenario, None)
-    for point in (*range(0, len(sweep.operations), given.step), len(sweep.operations)):
+    for point in points(sweep.operations, every=given.every):
         for found in sweep.at(point, given.torn):
             print(json.dumps(found), flush=True)
 

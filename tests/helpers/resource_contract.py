@@ -13,7 +13,7 @@ Lines of `COSTLY` may take longer: they show progress, and their pages state the
 With --combine, lines have several options at once, numeric ones at the corners that their types
 accept, names and flags as well: rows that hold each pair of values, on the quick line of the
 command (pairs) or with its whole numbers at their largest (heavy), or N random rows.  A row that
-is refused says nothing about its pairs: each of them is run by itself, then.
+is refused says nothing about its pairs: each of them, or the first N (--pairs), is run by itself.
 
 Prints one JSON object for each line, with what is wrong, its processor time and its memory.
 """
@@ -325,8 +325,8 @@ def single(only: str, every: int) -> Iterator[tuple[str, list[str]]]:
 class Contract:
     """Runs lines in a folder of their own, and prints how each ended."""
 
-    def __init__(self, seconds: int, folder: Path) -> None:
-        self.seconds, self.folder = seconds, folder
+    def __init__(self, seconds: int, folder: Path, pairs: int | None = None) -> None:
+        self.seconds, self.folder, self.pairs = seconds, folder, pairs
 
     def run(self, name: str, arguments: list[str]) -> bool:
         """Run one line; return whether it was carried out, and not refused."""
@@ -348,10 +348,10 @@ class Contract:
             if self.run(command, line_of(command, base, (*counts, *row))) or how == "random":
                 done |= set(pairs_of(row))
                 continue
-            for pair in combinations(row, 2):
-                if frozenset(pair) not in done:
-                    done.add(frozenset(pair))
-                    self.run(command, line_of(command, base, (*counts, *pair)))
+            left = [pair for pair in combinations(row, 2) if frozenset(pair) not in done]
+            for pair in left[: self.pairs]:
+                done.add(frozenset(pair))
+                self.run(command, line_of(command, base, (*counts, *pair)))
 
 
 def main() -> None:
@@ -362,6 +362,7 @@ def main() -> None:
     parser.add_argument("--combine", choices=("pairs", "heavy", "random"))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--most", type=int, default=1 << 30)
+    parser.add_argument("--pairs", type=int)
     given = parser.parse_args()
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # libraries then start no threads
     with tempfile.TemporaryDirectory() as scratch:
@@ -370,7 +371,7 @@ def main() -> None:
         write_photographs(folder / "work")
         names = {"CAMCTL_CACHE": "cache", "CAMCTL_PROFILES": "profiles", "XDG_STATE_HOME": "state"}
         os.environ.update({name: str(folder / each) for name, each in names.items()})
-        contract = Contract(given.seconds, folder)
+        contract = Contract(given.seconds, folder, given.pairs)
         if given.combine:
             commands = [each for each in BASES if f"{each} ".startswith(given.only)]
             import_all(commands, folder)

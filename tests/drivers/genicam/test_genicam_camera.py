@@ -124,7 +124,7 @@ def test_delay_is_measured_and_then_costs_n_plus_d_frames(
 ) -> None:
     with (
         virtual_camera(delay=delay) as device,
-        opened(device, aravis, trigger=trigger, fps="15") as camera,
+        opened(device, aravis, trigger=trigger, fps="30") as camera,
     ):
         wanted = settings(camera, *TIMES_S, 0.006, 0.003)
         camera.use_delay(None)

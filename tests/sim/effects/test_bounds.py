@@ -230,7 +230,12 @@ def a_case(random: np.random.Generator) -> Case:
     [
         pytest.param(CHUNKS, 60, id="60 cases"),
         *(
-            pytest.param(seed, CASES, id=f"{CASES} cases, seed {seed}", marks=pytest.mark.slow)
+            pytest.param(
+                seed,
+                CASES,
+                id=f"{CASES} cases, seed {seed}",
+                marks=[pytest.mark.slow, *[pytest.mark.proof] * (seed > 0)],
+            )
             for seed in range(CHUNKS)
         ),
     ],
