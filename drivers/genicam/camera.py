@@ -11,35 +11,27 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
-from statistics import median
 from typing import Any
 
 import numpy as np
 
 from camctl.drivers.common.stream_camera import StreamCamera
 from camctl.drivers.genicam import sequencer
-from camctl.drivers.genicam.controls import TOLERANCE, US_PER_S, ExposureControl
+from camctl.drivers.genicam.controls import TOLERANCE, ExposureControl
 from camctl.drivers.genicam.evidence import Scale, StatedExposures
 from camctl.drivers.genicam.formats import choose_format
+from camctl.drivers.genicam.levels import has_no_gamma, sample_levels
 from camctl.drivers.genicam.libraries import DRIVER, camera_info
-from camctl.drivers.genicam.port import (
-    FeatureError,
-    FoundDevice,
-    Kind,
-    Library,
-    OpenDevice,
-    Received,
-)
+from camctl.drivers.genicam.port import FoundDevice, Library, OpenDevice, Received
 from camctl.drivers.genicam.preparation import (
     GenicamOptions,
     choose_rate,
     choose_trigger,
     turn_chunks_on,
 )
-from camctl.drivers.genicam.slots import FreeRunFrames, TriggeredSlots
+from camctl.drivers.genicam.slots import FreeRunFrames, TriggeredSlots, no_complete_frame
 from camctl.drivers.genicam.uploaded import UploadedCycle, UploadedSequence
 from camctl.errors import CameraError, CameraProtocolError, UsageError
-from camctl.findings import Finding, note
 from camctl.interface.camera import CameraInfo, CyclePlace, Frame, MeasuredDelay, Pixels
 from camctl.interface.clock import CaptureTiming, Clock, RealClock
 from camctl.interface.controls import (
@@ -72,10 +64,6 @@ _TRIGGERED_DELAY = ControlDelay(0, 2, DelayOrigin.ASSUMED)
 _LEAD_FRAMES = 1.5
 #: Exposure of the frames that are taken when the camera is opened, s.
 _FIRST_EXPOSURE_S = 0.002
-#: Frames of which the median shows what a released frame takes.
-_TIMED_FRAMES = 4
-#: Different codes of a frame from which it shows how many of its bits are used.
-_LEAST_CODES = 64
 
 
 class GenicamCamera(StreamCamera[Received]):
@@ -190,33 +178,37 @@ class GenicamCamera(StreamCamera[Received]):
         device.start(_BUFFERS)
         self._rate = "software" if self._is_triggered else f"{round(1 / interval_s, 3):g}"
         first = self._start_pipeline(interval_s)
-        bits, black, white, used = self._levels(first)
-        response = named_response(options.response, bits, white - black)
-        levels = response or linear_response(bits, levels=white - black)
-        self._scale = Scale.of(black, white, levels)
+        levels = sample_levels(options, self._format, first)
+        self._shift = levels.shift
+        response = named_response(options.response, levels.bits, levels.white - levels.black)
+        self._scale = Scale.of(
+            levels.black,
+            levels.white,
+            response or linear_response(levels.bits, levels=levels.white - levels.black),
+        )
         self._stated = StatedExposures(self._scale)
         delay = self._delay_in_profile(info, first.shape)
         self._pipeline.delay = delay
         if not self._is_triggered:
             interval_s = self._stream.frame_clock.interval_s
             times = exposure.times(min(interval_s, self._announced_s))
-        is_stated = "response" in options.model_fields_set or self._has_no_gamma()
+        is_stated = "response" in options.model_fields_set or has_no_gamma(device)
         self._controls = ExposureControls(
             time_s=times,
             gain=exposure.gains,
             shape=first.shape,
             layout=self._format.layout,
             pixel_format=self._format.name,
-            bits=bits,
-            black=black,
-            white=white,
+            bits=levels.bits,
+            black=levels.black,
+            white=levels.white,
             response=response,
             response_origin=ResponseOrigin.STATED if is_stated else ResponseOrigin.ASSUMED,
             delay_frames=delay.frames,
             frame_interval_s=interval_s,
             timing=self._timing(delay),
             tolerance=TOLERANCE,
-            findings=(*exposure.findings, *findings, *used, *delay.findings(info.id)),
+            findings=(*exposure.findings, *findings, *levels.findings, *delay.findings(info.id)),
         )
 
     def _start_pipeline(self, interval_s: float) -> Received:
@@ -233,7 +225,7 @@ class GenicamCamera(StreamCamera[Received]):
                 lambda frame: self._statement(frame.chunks),
             )
             self._pipeline = ExposurePipeline(slots, delay, self._brightness, self._proves)
-            self._overhead_s, first = self._timed(slots)
+            self._overhead_s, first = slots.timed(self._exposure.gains.minimum, self._samples)
             return first
         self._announced_s = interval_s
         frames = self._run_free(delay)
@@ -241,7 +233,7 @@ class GenicamCamera(StreamCamera[Received]):
             frames.grab()
             if (found := frames.retrieve()) is not None:
                 return found
-        raise CameraProtocolError(f"{name} sends no complete frame", hint="check the network")
+        raise no_complete_frame(name)
 
     def _run_free(self, delay: ControlDelay) -> FreeRunFrames:
         """Take frames from a free run that has just begun, with a pipeline of its own."""
@@ -254,76 +246,6 @@ class GenicamCamera(StreamCamera[Received]):
         self._stream.start()
         self._pipeline = ExposurePipeline(self._stream, delay, self._brightness, self._proves)
         return frames
-
-    def _timed(self, slots: TriggeredSlots) -> tuple[float, Received]:
-        """Return what a released frame takes beyond its exposure, s, and a frame."""
-        exposure_s = float(self._device.read(self._exposure.time_name)) / US_PER_S
-        setting = ExposureSetting(exposure_s, self._exposure.gains.minimum)
-        taken_s: list[float] = []
-        found: Received | None = None
-        for _ in range(_TIMED_FRAMES):
-            began_s = self._clock.now()
-            self._exposure.forget()
-            slots.write(setting)
-            slots.next_frame()
-            if (frame := slots.read()) is not None:
-                found = frame
-                self._samples(frame)
-                taken_s.append(self._clock.now() - began_s - exposure_s)
-        if found is None:
-            raise CameraProtocolError(
-                f"{self._name} sends no complete frame", hint="check the network"
-            )
-        return max(0.0, median(taken_s)), found
-
-    def _levels(self, first: Received) -> tuple[int, int, int, list[Finding]]:
-        """Return bits, black and white of the samples, and findings; set the shift of samples."""
-        options, bits = self._options, self._format.bits
-        if options.bits is not None and bits != 16:
-            raise UsageError(
-                f"the option bits={options.bits} does not apply to {self._format.name}",
-                hint="it states how many bits of a 16-bit format are used",
-            )
-        self._shift = 0
-        findings = []
-        if bits == 16:
-            pixels = self._format.samples(first)
-            used = options.bits or (16 if pixels is None else _used_bits(pixels))
-            self._shift = 16 - used
-            bits = used
-            if self._shift and options.bits is None:
-                findings.append(
-                    note(
-                        f"the upper {used} bits of 16 are used, by the first frame",
-                        {"option:bits": str(used)},
-                    )
-                )
-        most, black = 2**bits - 1, options.black or 0
-        white = most if options.white is None else options.white
-        if not black < white <= most:
-            raise UsageError(
-                f"invalid black level {black} and white level {white}",
-                hint=f"give 0 <= black < white <= {most} DN",
-            )
-        if options.black is None:
-            findings.append(
-                note(
-                    "black is assumed to be 0: cover the lens, measure the mean brightness, and "
-                    "give it",
-                    {"option:black": None},
-                )
-            )
-        return bits, black, white, findings
-
-    def _has_no_gamma(self) -> bool:
-        """Return whether the camera's samples are linear: its gamma is off, or it has none."""
-        device = self._device
-        with suppress(FeatureError):
-            if device.kind("GammaEnable") is Kind.BOOLEAN:
-                return device.read("GammaEnable") is False
-            if device.kind("Gamma") is Kind.FLOAT:
-                return device.read("Gamma") == 1.0
-        return True
 
     # ---- delay and time
 
@@ -496,12 +418,3 @@ class GenicamCamera(StreamCamera[Received]):
             frame = self._made(received, setting, setting, received.arrived_s, index)
             self._stated.remember(frame)
             yield frame
-
-
-def _used_bits(pixels: Pixels) -> int:
-    """Return how many upper bits of a 16-bit frame are used; 16 where it shows too little."""
-    if np.unique(pixels).size < _LEAST_CODES:
-        return 16
-    together = int(np.bitwise_or.reduce(pixels, axis=None))
-    unused = (together & -together).bit_length() - 1
-    return 16 - unused

@@ -100,7 +100,6 @@ class ExposureControl:
         self._gains: dict[float, float] = {}  # value of the feature by linear gain
         self._choose_gain(gain)
         self._current: dict[str, float] = {}
-        self._applied = ExposureSetting(self._number(self.time_name) / US_PER_S)
 
     @property
     def gains(self) -> Choices:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from statistics import median
 
+from camctl.drivers.genicam.controls import US_PER_S, ExposureControl
 from camctl.drivers.genicam.port import OpenDevice, Received
-from camctl.errors import CameraTimeoutError
+from camctl.errors import CameraProtocolError, CameraTimeoutError
 from camctl.interface.clock import Clock, check_cancelled
 from camctl.interface.controls import ExposureSetting
 from camctl.streaming import FrameStamp, Written
@@ -19,17 +20,12 @@ _POLL_S = 0.1
 _TRANSFER_S = 1.0
 #: Times that a trigger is sent again where no frame follows it.
 _TRIGGERS = 3
+#: Frames of which the median shows what a released frame takes.
+_TIMED_FRAMES = 4
 #: Two crystals of usual quality (50 ppm each) drift apart by at most this share of the time.
 _DRIFT = 1e-4
 #: A clock that runs so many times as fast as the system's, or as slow, has not the unit it states.
 _OTHER_UNIT = 2.0
-
-
-class WritesExposures(Protocol):
-    """What sets the exposure of a device."""
-
-    def write(self, setting: ExposureSetting) -> ExposureSetting:
-        """Set the exposure and return it as read back."""
 
 
 def wait_for_frame(
@@ -68,6 +64,11 @@ def silent(device: OpenDevice, name: str, silence_s: float) -> CameraTimeoutErro
     )
 
 
+def no_complete_frame(name: str) -> CameraProtocolError:
+    """Return the error for a camera of whose frames packets are missing."""
+    return CameraProtocolError(f"{name} sends no complete frame", hint="check the network")
+
+
 class TriggeredSlots:
     """A stream in which each frame is released by software; a `camctl.streaming.NumberedSource`.
 
@@ -87,7 +88,7 @@ class TriggeredSlots:
         self,
         device: OpenDevice,
         name: str,
-        exposure: WritesExposures,
+        exposure: ExposureControl,
         clock: Clock,
         silence_s: float,
         stated: Callable[[Received], ExposureSetting | None],
@@ -149,6 +150,28 @@ class TriggeredSlots:
         self._settings_s = [*self._settings_s[-8:], applied.time_s]
         return Written(applied, self._next, self._next)
 
+    def timed(self, gain: float, decode: Callable[[Received], object]) -> tuple[float, Received]:
+        """Return what a released frame takes beyond its exposure, s, and a frame.
+
+        Raises:
+            CameraProtocolError: no frame is complete
+        """
+        exposure_s = float(self._device.read(self._exposure.time_name)) / US_PER_S
+        taken_s: list[float] = []
+        found: Received | None = None
+        for _ in range(_TIMED_FRAMES):
+            began_s = self._clock.now()
+            self._exposure.forget()
+            self.write(ExposureSetting(exposure_s, gain))
+            self.next_frame()
+            if (frame := self.read()) is not None:
+                found = frame
+                decode(frame)
+                taken_s.append(self._clock.now() - began_s - exposure_s)
+        if found is None:
+            raise no_complete_frame(self._name)
+        return max(0.0, median(taken_s)), found
+
 
 class CameraClock:
     """When frames arrived, by the time stamps of the camera.
@@ -196,7 +219,7 @@ class FreeRunFrames:
         self,
         device: OpenDevice,
         name: str,
-        exposure: WritesExposures,
+        exposure: ExposureControl,
         clock: Clock,
         silence_s: float,
     ) -> None:

@@ -346,8 +346,9 @@ def frame_cost(hub: Hub, device: Device) -> FrameCost:
         interval_s = camera.controls.frame_interval_s
         log = hub.do(device.name, "log")
     first = next(w for w in reversed(log["writes"]) if w["time_s"] == pytest.approx(times_s[0]))
+    # With a delay of -1 the slot that was exposed at the write has the first setting.
     since = [frame for frame in log["frames"] if frame["slot"] >= first["upcoming"]]
-    frames = iter(since)
+    frames = iter([each for each in log["frames"] if each["slot"] >= first["upcoming"] - 1])
     slots = [
         next(frame["slot"] for frame in frames if round(frame["time_s"], 6) == time_s)
         for time_s in times_s
