@@ -1,8 +1,8 @@
 """The state machine of the menu, which follows the tables of `camctl.menu.tables`.
 
 `step` alone leads from one `Model` to the next.  It is a pure function: work to be done is returned
-as an effect, and its outcome comes in again as an event.  ``python -m camctl.menu.diagram`` prints
-the tables as the page docs/reference/menu-states.md.
+as an effect, and its outcome comes in again as an event.  The page docs/reference/menu-states.md
+shows the tables.
 """
 
 from __future__ import annotations

@@ -8,12 +8,11 @@ from typing import Protocol, runtime_checkable
 
 from camctl.menu import pages
 from camctl.menu.data import Cost
-from camctl.menu.diagram import KEYS
 from camctl.menu.entries import RESPONSES, TIMERS, requested, rows, seconds
 from camctl.menu.machine import choices, selected
 from camctl.menu.model import Action, Goal, Model, State
 from camctl.menu.ports import Line, Mood, Panel, Screen
-from camctl.menu.tables import STATES, Kind
+from camctl.menu.tables import KEYS, STATES, Kind
 from camctl.menu.text import format_levels, format_short_time, format_total, gain_in_words
 from camctl.messages.guidance import COVERED, STILL_SCENE
 from camctl.system.number_text import range_text

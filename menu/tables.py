@@ -86,6 +86,14 @@ class Kind(Enum):
     WAIT = "wait"  # exit: stop waiting
 
 
+KEYS = {
+    Kind.LIST: ("enter: take", "exit: back", "up/down: select"),
+    Kind.PAGE: ("enter: do it", "left/right: select", "up/down: scroll", "exit: back"),
+    Kind.WAIT: ("exit: stop",),
+}
+"""What the keys do on each kind of screen, the most important first."""
+
+
 @dataclass(frozen=True)
 class StateSpec:
     """The properties of a state.

@@ -8,12 +8,11 @@ import numpy as np
 
 from camctl.errors import CamctlError, UsageError
 from camctl.interface.clock import Clock
-from camctl.menu.drawing import draw
+from camctl.menu.drawing import SMALLEST, draw
 from camctl.menu.panels.address import parse_address
 from camctl.menu.panels.drm_kernel import DrmDisplay
 from camctl.menu.panels.keyed import KEY_OPTIONS, KeyedPanel, keys_of
 from camctl.menu.ports import PanelDisconnectedError, Screen
-from camctl.menu.small_drawing import SMALLEST
 from camctl.system.interrupts import uninterrupted
 
 

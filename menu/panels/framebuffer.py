@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from camctl.errors import CamctlError, UsageError
 from camctl.interface.clock import Clock
-from camctl.menu.drawing import Pixels, draw
+from camctl.menu.drawing import SMALLEST, Pixels, draw
 from camctl.menu.panels.address import parse_address
 from camctl.menu.panels.input_keys import InputKeys
 from camctl.menu.panels.keyed import KEY_OPTIONS, KeyedPanel, keys_of
 from camctl.menu.ports import PanelDisconnectedError, Screen
-from camctl.menu.small_drawing import SMALLEST
 from camctl.system.interrupts import uninterrupted
 
 _VARIABLE, _FIXED = 0x4600, 0x4602

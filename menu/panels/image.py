@@ -9,9 +9,8 @@ from typing import Self
 
 from camctl.errors import StorageError, UsageError
 from camctl.interface.clock import Clock, RealClock
-from camctl.menu.drawing import draw
+from camctl.menu.drawing import SMALLEST, draw
 from camctl.menu.ports import Key, Screen
-from camctl.menu.small_drawing import SMALLEST
 from camctl.system.files import make_folder, storage_error, write_bytes
 from camctl.system.picture_operations import png
 

@@ -8,11 +8,10 @@ from typing import Any, Self
 
 from camctl.errors import UsageError
 from camctl.interface.clock import Clock
-from camctl.menu.drawing import draw
+from camctl.menu.drawing import SMALLEST, draw
 from camctl.menu.panels.address import parse_address
 from camctl.menu.panels.keyed import KEY_OPTIONS, KeyedPanel, keys_of
 from camctl.menu.ports import PanelDisconnectedError, Screen
-from camctl.menu.small_drawing import SMALLEST
 from camctl.system.interrupts import uninterrupted
 
 _BUS_OPTIONS = ("interface", "i2c-", "spi-", "gpio", "ftdi-", "backlight-active")

@@ -16,7 +16,7 @@ from urllib.parse import unquote
 
 from camctl.menu.drawing import draw
 from camctl.menu.layout import grid
-from camctl.menu.page_panel import PagePanel
+from camctl.menu.panels.page import PagePanel
 from camctl.menu.ports import Key, Screen
 from camctl.system.picture_operations import png
 from camctl.system.web_server import DEFAULT_PORT, Site, SiteHandler

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from camctl.menu.model import Model
-from camctl.menu.page_panel import PagePanel
+from camctl.menu.panels.page import PagePanel
 from camctl.menu.ports import Key, Screen
 from camctl.menu.studio.commands import Command, keys_for
 from camctl.menu.studio.sight import Sight

@@ -7,13 +7,13 @@ from collections.abc import Iterable
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from runpy import run_path
 
 import pytest
 from panel_fakes import CAMERA, CAPTURES, COST, FRONT, OTHER_CAMERA, READING, SUMMARY, plan_of
 
 from camctl.exposure.goal import AUTO, CaptureRequest
 from camctl.menu.data import Progress, Settings
-from camctl.menu.diagram import diagram, states_page
 from camctl.menu.entries import RANGES, RESPONSES, choice, rows
 from camctl.menu.machine import step
 from camctl.menu.model import Action, Goal, Model, State
@@ -33,6 +33,8 @@ from camctl.model.response.names import RANGES as DEFINED_RANGES
 from camctl.model.response.names import RESPONSES as DEFINED_RESPONSES
 
 DOCS = Path(__file__).parents[2] / "docs"
+_PROGRAM = run_path(str(DOCS / "draw_menu_states.py"))
+diagram, states_page = _PROGRAM["diagram"], _PROGRAM["states_page"]
 FULL = Model(
     costs=(COST,) * 20,
     front=FRONT,
@@ -191,7 +193,7 @@ def test_diagram_has_every_state_and_every_transition() -> None:
 
 
 def test_page_of_the_documentation_is_up_to_date() -> None:
-    """Update it with: python -m camctl.menu.diagram > docs/reference/menu-states.md."""
+    """Update it with: python docs/draw_menu_states.py."""
     assert (DOCS / "reference/menu-states.md").read_text(encoding="utf-8") == states_page()
 
 
