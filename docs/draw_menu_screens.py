@@ -66,7 +66,7 @@ def models() -> dict[State, Model]:
 
 
 def _job(camera: str = "sim", **options: Any) -> CameraJob:
-    def opened(camera_id: str) -> tuple[Camera, dict[str, Any]]:
+    def opened(camera_id: str, _profile: str = "all") -> tuple[Camera, dict[str, Any]]:
         simulated = not camera_id and camera == "sim"
         given = {"scene": "room", "sensor": "phone", **options} if simulated else {}
         return camctl.open_camera(camera_id or camera, **given), {}
@@ -83,7 +83,9 @@ def _costs(job: CameraJob, model: Model) -> tuple[Cost | None, ...]:
 
 def _model(job: CameraJob) -> Model:
     """Return a model that has something to show on every screen."""
+    seen: list[Progress] = []
     camera, settings = job.open(""), Settings()
+    calibrated = job.calibrate("still", seen.append, lambda: False)
     reading = replace(job.meter(), free_bytes=FREE_BYTES)
     plan = job.plan(choice(settings, Goal.COUNT), lambda: False)
     summary = job.shoot(plan, lambda _: None, lambda: False)
@@ -95,6 +97,8 @@ def _model(job: CameraJob) -> Model:
         remaining_s=7,
         summary=replace(summary, folder="captures/capture-0012"),
         cameras=(camera, WEBCAM),
+        marked=(camera.id,),
+        calibrated=calibrated.lines,
         camera=camera,
         captures=(Past("capture-0012-20260412-101502", True), Past("capture-0011", False)),
     )
@@ -133,6 +137,9 @@ def _errors(job: CameraJob) -> dict[State, str]:
         State.SERIES_FAILED: _error(
             lambda: _job(camera=WEBCAM.id).series(SERIES, lambda _: None, lambda: False)
         ),
+        State.CALIBRATION_FAILED: _error(
+            lambda: job.calibrate("covered", lambda _: None, lambda: False)
+        ),
         State.RESUME_FAILED: _error(
             lambda: other.resume(unfinished, lambda _: None, lambda: False)
         ),
@@ -163,7 +170,9 @@ def sheet(pictures: list[Pixels], columns: int) -> bytes:
 def main() -> None:
     """Draw all sheets."""
     FOLDER.mkdir(exist_ok=True)
-    shown = models()
+    with TemporaryDirectory() as profiles:
+        os.environ["CAMCTL_PROFILES"] = profiles
+        shown = models()
     states = [state for state in State if state not in (State.SAVER, State.QUIT)]
     captures = (State.SHOOTING, State.RESUMING, State.CANCELLING, State.SERIES_SHOOTING)
     screens = [

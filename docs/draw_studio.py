@@ -68,6 +68,12 @@ def tour(page: Any, take: Any) -> None:
     page.click("[data-section=settings]")
     page.wait_for_timeout(300)
     take("settings")
+    page.click("button:has-text('Calibration')")
+    page.wait_for_selector("text=Put the camera on a tripod")
+    take("calibration")
+    page.click("button:has-text('Still scene')")
+    page.wait_for_selector("text=Kept in the camera's profile.", timeout=240000)
+    take("calibrated")
     page.click("[data-profiles]")
     page.wait_for_selector(".plot")
     while not page.locator(".plot").evaluate("image => image.complete"):

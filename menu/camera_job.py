@@ -112,7 +112,8 @@ class CameraJob:
         found = tuple(entry_of(info) for info in list_cameras())
         opened = () if self._camera is None else (self._camera, *self._others.cameras)
         entries = [entry_of(each.info) for each in opened]
-        return (*(each for each in entries if each not in found), *found)
+        known = {each.id for each in found}
+        return (*(each for each in entries if each.id not in known), *found)
 
     def open(self, camera_id: str) -> CameraEntry:
         self.close()

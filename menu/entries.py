@@ -171,13 +171,13 @@ def _markable(model: Model) -> tuple[Entry, ...]:
     cameras = [each for each in model.cameras if TOGETHER not in each.id]
     marks = ["[x] " if each.id in model.marked else "[ ] " for each in cameras]
     count = len(chosen_cameras(model))
-    which = "these" if model.marked else "all"
+    which = f"{'these' if model.marked else 'all'} {count}" if count > 1 else "this one"
     return (
         *(
             Entry((mark + each.name, mark + each.id[-10:]), each.id, Action.CHANGE)
             for mark, each in zip(marks, cameras, strict=True)
         ),
-        Entry((f"Use {which} {count}",), action=Action.START),
+        Entry((f"Use {which}",), action=Action.START),
     )
 
 

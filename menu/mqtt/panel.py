@@ -7,6 +7,7 @@ import os
 import queue
 import re
 import socket
+import ssl
 import threading
 from collections import deque
 from pathlib import Path
@@ -56,7 +57,7 @@ _COMMANDS: dict[str, tuple[Command, ...]] = {
         Command(seen=state, key=Key.EXIT)
         for state in (
             *(State.PLANNING, State.TIMER, State.SHOOTING, State.RESUMING),
-            State.SERIES_SHOOTING,
+            *(State.SERIES_SHOOTING, State.CALIBRATING),
         )
     ),
 }
@@ -112,9 +113,12 @@ class MqttPanel:
         try:
             client.connect(host, port, _KEEP_ALIVE_S)
         except OSError as error:
+            untrusted = isinstance(error, ssl.SSLCertVerificationError)
             raise PanelDisconnectedError(
                 f"cannot reach the broker at {host}:{port}: {error.strerror or error}",
-                hint="check its address, and that it runs",
+                hint="name the certificate of its authority in SSL_CERT_FILE"
+                if untrusted
+                else "check its address, and that it runs",
             ) from error
         client.loop_start()
         answered = self._connected.wait(_CONNECT_S)

@@ -30,7 +30,7 @@ SECTIONS = (
     ),
     Section(
         "shoot",
-        "Shoot",
+        "Plan",
         (
             State.PLANNING,
             State.PLAN_FAILED,

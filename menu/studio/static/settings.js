@@ -9,7 +9,7 @@ function bar(state, show) {
     ["calibration", "Calibration"], ["about", "About"]];
   return h("div", {class: "buttons", role: "group", "aria-label": "settings"},
     tabs.map(([name, title]) => h("button", {
-      "aria-pressed": String(!isProfiles && state.state.startsWith(name)),
+      "aria-pressed": String(!isProfiles && state.state.startsWith(name.slice(0, 8))),
       onclick: () => { isProfiles = false; command({state: name}); show(); }}, title)),
     h("button", {"aria-pressed": String(isProfiles), "data-profiles": true,
       onclick: () => { isProfiles = true; show(); }}, "Profiles"));

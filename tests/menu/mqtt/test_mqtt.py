@@ -19,6 +19,7 @@ from panel_fakes import FakeJob
 from camctl.errors import UsageError
 from camctl.menu.app import run
 from camctl.menu.mqtt.panel import PASSWORD_VARIABLE, USER_VARIABLE, MqttPanel
+from camctl.menu.mqtt.topics import Topics, discovery_message
 from camctl.menu.ports import PanelDisconnectedError
 from camctl.menu.tables import STATES
 
@@ -232,6 +233,60 @@ def test_broker_that_wants_a_password_gets_it(
         monkeypatch.setenv(PASSWORD_VARIABLE, "secret")
         with MqttPanel(f"127.0.0.1:{port}") as panel:
             assert panel._client.is_connected()
+
+
+def certificates(folder: Path) -> Path:
+    """Return the certificate of an authority, which signed broker.pem for 127.0.0.1."""
+    authority = ("-CA", "authority.pem", "-CAkey", "authority.key")
+    for name, subject, more in (
+        ("authority", "/CN=own authority", ()),
+        ("broker", "/CN=broker", (*authority, "-addext", "subjectAltName=IP:127.0.0.1")),
+    ):
+        new = ("openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256")
+        files = ("-nodes", "-keyout", f"{name}.key", "-out", f"{name}.pem", "-subj", subject)
+        subprocess.run([*new, *files, *more], cwd=folder, check=True, capture_output=True)
+    return folder / "authority.pem"
+
+
+@needs_mosquitto
+@pytest.mark.filterwarnings("ignore:.*SSLSocket")  # paho leaves one where the handshake fails
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="apt-get install openssl")
+def test_connection_is_encrypted_and_the_broker_is_checked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    authority, port, tls_port = certificates(tmp_path), free_port(), free_port()
+    lines = (
+        f"allow_anonymous true\nlistener {tls_port} 127.0.0.1\n"
+        f"certfile {tmp_path}/broker.pem\nkeyfile {tmp_path}/broker.key"
+    )
+    address = f"127.0.0.1:{tls_port},name=hall,tls=1"
+    with broker(tmp_path, port, lines):
+        client = Client(port)
+        with pytest.raises(PanelDisconnectedError, match=r"verify failed.*SSL_CERT_FILE"):
+            MqttPanel(address).__enter__()
+        monkeypatch.setenv("SSL_CERT_FILE", str(authority))
+        with MqttPanel(address) as panel:
+            assert panel._client.socket().version().startswith("TLS")
+            client.wait_for("camctl/hall/availability", lambda payload: payload == b"online")
+        with pytest.raises(PanelDisconnectedError):
+            MqttPanel(f"127.0.0.1:{port},tls=1").__enter__()
+        client.stop()
+
+
+def test_discovery_has_what_home_assistant_requires() -> None:
+    """Its schema of device discovery: homeassistant/components/mqtt/schemas.py, 2025."""
+    message = discovery_message(Topics("hall"))
+    assert set(message) == {"device", "origin", "components", "availability_topic"}
+    assert message["device"]["identifiers"]
+    assert message["origin"]["name"]
+    required = {"button": "command_topic", "sensor": "state_topic", "image": "image_topic"}
+    identities = set()
+    for component in message["components"].values():
+        assert component[required[component["platform"]]].startswith("camctl/hall/")
+        identities.add(component["unique_id"])
+        if component.get("device_class") == "battery":
+            assert component["unit_of_measurement"] == "%"
+    assert len(identities) == len(message["components"])
 
 
 def test_broker_that_is_not_there_is_one_line() -> None:
