@@ -238,13 +238,16 @@ def _contradicting(
     photographs: Sequence[Photograph], jumps: Sequence[float], limit: float, why: str
 ) -> list[Finding]:
     """Return a finding for each pair of neighbours that differs."""
+    remedies: dict[str, Detail | None] = {"curve": None} if why == "response" else {"times": None}
+    if why == _TIE:  # exposures and response are estimated together then
+        remedies["labels"] = "pixels"
     return [
         Finding(
             code="labels_contradict",
             frames=(k + 1, k),  # the brighter one first
             value=math.exp(jump),
             details={"exposure": bright.exposure / dark.exposure, "why": why},
-            remedies={"curve": None} if why == "response" else {"times": None},
+            remedies=remedies,
         )
         for k, ((dark, bright), jump) in enumerate(zip(pairwise(photographs), jumps, strict=True))
         if abs(jump) > limit

@@ -164,6 +164,7 @@ def test_where_most_exposures_contradict_the_pixels_decide(opened: Opened, label
     )
     assert set(codes(found.notes)) == {"labels_contradict"}
     assert {each.details["why"] for each in found.notes} == {"tie"}
+    assert all(each.remedies == {"times": None, "labels": "pixels"} for each in found.notes)
     assert found.positions == tuple(range(8))
     used = np.array([each.time_s for each in found.camera.photographs])
     assert np.ptp(np.log(used / np.array(shown))) < 0.1
