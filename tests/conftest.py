@@ -64,12 +64,24 @@ def real_data() -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
+_SYNCHRONISE = os.fsync
+
+
+@pytest.fixture(autouse=True, scope="session")
 def quick_disk() -> Iterator[None]:
-    """Do not wait for the disk, in tests that write many files and survive no power failure."""
+    """Do not wait for the disk: no test survives a power failure.
+
+    `crash_witness`, which shows what is synchronised, does wait, and so does each other program.
+    """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(os, "fsync", lambda descriptor: None)
+        patch.setattr(os, "fsync", os.fstat)  # it refuses what is no open file, too
         yield
+
+
+@pytest.fixture
+def slow_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait for the disk all the same, where that is tested."""
+    monkeypatch.setattr(os, "fsync", _SYNCHRONISE)
 
 
 @pytest.fixture(autouse=True, scope="session")

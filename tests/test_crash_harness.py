@@ -10,7 +10,10 @@ from crash_points import Operation, PowerLoss, is_possible, run
 
 from camctl.system.files import make_folder, write_array, write_bytes
 
-pytestmark = pytest.mark.skipif(not is_possible(), reason="crash points need Linux on x86-64")
+pytestmark = [
+    pytest.mark.skipif(not is_possible(), reason="crash points need Linux on x86-64"),
+    pytest.mark.usefixtures("slow_disk"),
+]
 
 
 def write(path: Path, data: bytes, *, sync: bool) -> None:

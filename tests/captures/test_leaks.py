@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import gc
-import os
 import resource
 import shutil
 import threading
@@ -115,11 +114,8 @@ def check_series(work: Callable[[int], object], count: int, *, exr_share: float 
 @pytest.mark.slow
 @pytest.mark.no_cover  # the tracing of coverage keeps something of each thread
 @pytest.mark.timeout(900)
-def test_hundreds_of_captures_leave_nothing_behind(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_hundreds_of_captures_leave_nothing_behind(tmp_path: Path) -> None:
     """Two in memory, two into folders, and so on; every second one of a mosaic."""
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)  # waiting for the disk shows nothing
     request = camctl.CaptureRequest(ratios=(1.0, 8.0))
     light = gradient(12, 16)
 

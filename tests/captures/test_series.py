@@ -39,8 +39,6 @@ from camctl.records.journal import (
 from camctl.sim.camera import Faults
 from camctl.system.picture_operations import opencv
 
-pytestmark = pytest.mark.usefixtures("quick_disk")
-
 
 @settings(max_examples=12)  # each writes a journal a dozen times
 @given(seconds=st.lists(st.floats(0, 9.99), min_size=12, max_size=12))

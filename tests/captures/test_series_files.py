@@ -30,8 +30,6 @@ from camctl.records.journal import (
 )
 from camctl.records.report import CaptureReport
 
-pytestmark = pytest.mark.usefixtures("quick_disk")
-
 
 def test_two_processes_cannot_write_one_series(bench: Bench) -> None:
     class Nested(FakeSets):
