@@ -9,8 +9,8 @@ saturation does to a sample makes it darker.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,22 +99,33 @@ def _replace(
     """
     light, deviation = found
     chosen = beside | _add_small(tables, errors, light, deviation)
-    cells_of_all = np.flatnonzero(chosen)
     scatter, common = np.zeros((2, chosen.size), np.float32), np.zeros_like(light)
-    for start in range(0, cells_of_all.size, _BLOCK // 4):
-        cells = cells_of_all[start : start + _BLOCK // 4]
-        first = light.take(cells, axis=1), deviation.take(cells, axis=1)
-        joined = _joined(
-            tables,
-            [each.take(cells, axis=1) for each in values],
-            errors.take(cells, axis=1),
-            [each.take(cells, axis=1) for each in hidden],
-            first,
-        )
-        light[:, cells] = joined.light
-        deviation[:, cells] = np.where(np.isnan(first[1]), np.nan, joined.own)
-        common[:, cells] = joined.common
-        scatter[:, cells] = joined.scatter
+
+    def join(cells: NDArray[np.intp], joining: _Joining) -> NDArray[np.intp]:
+        """Replace light of cells; return those that were not joined."""
+        rest = [cells[:0]]
+        for start in range(0, cells.size, _BLOCK // 4):
+            some = cells[start : start + _BLOCK // 4]
+            first = light.take(some, axis=1), deviation.take(some, axis=1)
+            joined, is_plain = joining(
+                tables,
+                [each.take(some, axis=1) for each in values],
+                errors.take(some, axis=1),
+                [each.take(some, axis=1) for each in hidden],
+                first,
+            )
+            done = some
+            if not is_plain.all():
+                rest.append(some[~is_plain])
+                done, joined = some[is_plain], joined.of(is_plain)
+                first = first[0], first[1][:, is_plain]
+            light[:, done] = joined.light
+            deviation[:, done] = np.where(np.isnan(first[1]), np.nan, joined.own)
+            common[:, done] = joined.common
+            scatter[:, done] = joined.scatter
+        return np.concatenate(rest)
+
+    join(join(np.flatnonzero(chosen), _joined_plainly), _joined)
     shape = chosen.size // columns, columns
     measured, expected = (box_means(each.reshape(shape), _AROUND).ravel() for each in scatter)
     ratio = np.sqrt((measured + _KNOWN) / (expected + _KNOWN))
@@ -195,6 +206,90 @@ class _Joined(NamedTuple):
     common: Floats32
     scatter: Floats32
 
+    def of(self, cells: NDArray[np.bool_]) -> _Joined:
+        """Return those of some cells, (C,)."""
+        return _Joined(*(each[:, cells] for each in self))
+
+
+_Joining: TypeAlias = Callable[
+    [
+        LightTables,
+        Sequence[NDArray[Any]],
+        NDArray[np.float32],
+        Sequence[NDArray[np.bool_]],
+        tuple[Floats32, Floats32],
+    ],
+    tuple[_Joined, NDArray[np.bool_]],
+]
+"""From tables, samples, errors, hidden samples and the first light: see `_joined`."""
+
+
+def _joined_plainly(
+    tables: LightTables,
+    values: Sequence[NDArray[Any]],
+    errors: NDArray[np.float32],
+    hidden: Sequence[NDArray[np.bool_]],
+    first: tuple[Floats32, Floats32],
+) -> tuple[_Joined, NDArray[np.bool_]]:
+    """Return what `_joined` does, with weights for a cell, and where that is the same, (C,).
+
+    That is so where frames do not contradict each other, and each is saturated in all of a cell or
+    in none.
+    """
+    reach, top = np.float32(CLIPPING_SIGMAS), np.float32(tables.sensor.highest(None))
+    light = first[0]
+    bins = tables.bins(light.mean(axis=0))
+    above, squares, least = np.zeros((3, *light.shape), np.float32)
+    weights, own, shared, count = np.zeros((4, bins.size), np.float32)
+    is_plain, counting = np.ones(bins.size, np.bool_), []
+    for at, value in enumerate(values):
+        limit = top - reach * errors[at]
+        counts = value.max(axis=0) <= limit
+        saturated = value.min(axis=0) > limit
+        is_plain &= (counts | saturated) & ~hidden[at].any(axis=0)
+        noise = tables.variances[at].take(bins)
+        error = errors[at] * tables.steps[at].take(bins)
+        both = noise + np.square(error)
+        sample = tables.irradiance[at].take(value)
+        lowest = sample - reach * np.sqrt(both)
+        np.maximum(least, lowest, out=least, where=saturated)
+        if (clipped := counts & tables.clipped[at].take(bins)).any():
+            # Noise does not lift a sample so far above the light that would clip it at black.
+            is_plain &= ~(clipped & (lowest > light).any(axis=0))
+            counts &= ~clipped
+        weight = counts / both
+        part = weight * sample
+        above += part
+        part *= sample
+        squares += part
+        own += np.square(weight) * noise
+        shared += weight * error
+        weights += weight
+        count += counts
+        highest = sample.min(axis=0) + reach * np.sqrt(both)
+        counting.append((counts, highest))
+    is_plain &= weights > 0
+    total = np.where(is_plain, weights, np.float32(1))
+    above /= total
+    squares -= total * np.square(above)
+    expected = count - (own + np.square(shared)) / total
+    is_plain &= ~(squares > reach**2 * np.maximum(expected, 1)).any(axis=0)
+    known = reach * np.sqrt(own + np.square(shared)) / total
+    is_plain &= ~(above + known < least).any(axis=0)
+    brightest = above.max(axis=0)
+    for (counts, highest), exposure in zip(counting, tables.exposures, strict=True):
+        # Near saturation, samples may be darker than their light.
+        near = brightest > np.float32(tables.sensor.full / exposure / 4)
+        is_plain &= ~(counts & near & (highest < brightest - known))
+    scatter = np.stack([np.maximum(squares, 0).sum(axis=0), len(light) * expected])
+    joined = _Joined(
+        np.maximum(above, 0),
+        np.broadcast_to(np.sqrt(own) / total, light.shape),
+        np.broadcast_to(shared / total, light.shape),
+        scatter,
+    )
+    return joined, is_plain
+
 
 def _joined(
     tables: LightTables,
@@ -202,8 +297,8 @@ def _joined(
     errors: NDArray[np.float32],
     hidden: Sequence[NDArray[np.bool_]],
     first: tuple[Floats32, Floats32],
-) -> _Joined:
-    """Return the light of samples, (4, C).
+) -> tuple[_Joined, NDArray[np.bool_]]:
+    """Return the light of samples, (4, C), and that all are joined, (C,).
 
     Args:
         tables: of their colour
@@ -273,4 +368,5 @@ def _joined(
     lost = saturated[order[0]] | hidden[order[0]]
     rest = np.where(lost, np.float32(np.inf), deviation)
     sums = np.stack([each.sum(axis=0) for each in (scatter, expected)])
-    return _Joined(light, np.where(found, np.sqrt(own) / total, rest), common, sums)
+    joined = _Joined(light, np.where(found, np.sqrt(own) / total, rest), common, sums)
+    return joined, np.ones(light.shape[1], np.bool_)
