@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
+import cv2
 import numpy as np
 
 from camctl.sim.effects.budget import FramePlan, plan_frame
@@ -194,6 +195,7 @@ def main() -> None:
     parser.add_argument("--scene", default="tile-floor", help="of the curve")
     parser.add_argument("--compiled", action="store_true", help="with the extra `fast`")
     arguments = parser.parse_args()
+    cv2.setNumThreads(1)  # its other threads wait in loops, which would count for the next frame
     share_free_memory()  # as a capture does: else memory is returned between frames, or not
     compiled, found = arguments.compiled, {}
     for size in arguments.sizes:
