@@ -76,15 +76,7 @@ def known_controls(
     if files.format.is_raw:
         return controls, "linear, as raw files are"
     mode = mode_name(files.format.layout, files.format.shape_on_sensor, series.white)
-    levels_now = (series.black, series.white)
-    fitting = [
-        profile
-        for profile in profiles_of(files.taken_by)
-        if (record := profile.responses.get(mode)) is not None
-        and (record.main_channel.black, record.main_channel.white) == levels_now
-    ]
-    if any(files.taken_by[2] and each.serial for each in fitting):  # better than without a serial
-        fitting = [each for each in fitting if each.serial]
+    fitting = _fitting_profiles(files, mode, (series.black, series.white))
     if len(fitting) == 1:
         found = fitting[0]
         return _measured(
@@ -126,6 +118,19 @@ def known_controls(
         return replace(estimated, response=scaled[1], responses=scaled), _ESTIMATED
     is_common = len(series.channels) > 1
     return estimated, _ESTIMATED_COMMON if is_common else _ESTIMATED
+
+
+def _fitting_profiles(files: PhotographFiles, mode: str, levels: tuple[int, int]) -> list[Profile]:
+    """Return the profiles of the camera with a response in this mode, black and white level."""
+    fitting = [
+        profile
+        for profile in profiles_of(files.taken_by)
+        if (record := profile.responses.get(mode)) is not None
+        and (record.main_channel.black, record.main_channel.white) == levels
+    ]
+    if any(files.taken_by[2] and each.serial for each in fitting):  # better than without a serial
+        return [each for each in fitting if each.serial]
+    return fitting
 
 
 def known_colour(files: PhotographFiles, white: int) -> CameraColour | None:
