@@ -185,8 +185,10 @@ class Live:
             return self._result()
 
     def _begin(self) -> None:
+        if self._has_begun:  # without the lock, which the reader has while it waits for a frame
+            return
         with self._step_lock:
-            if self._cycle is not None or self._error is not None or self._is_closed:
+            if self._has_begun:
                 return
             self._controls = self._camera.controls
             self._window = Window(self._controls)
@@ -195,6 +197,10 @@ class Live:
             if not self._pulls:
                 self._reader = threading.Thread(target=self._read, name="camctl-live", daemon=True)
                 self._reader.start()
+
+    @property
+    def _has_begun(self) -> bool:
+        return self._cycle is not None or self._error is not None or self._is_closed
 
     def _read(self) -> None:
         """Take frames until the stream ends: the thread of the policy "latest"."""

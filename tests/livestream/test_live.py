@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import islice
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from small_cameras import gradient
 import camctl
 from camctl.errors import CameraDisconnectedError, UsageError
 from camctl.exposure.goal import CaptureRequest
+from camctl.interface.camera import Frame
 from camctl.interface.controls import ExposureSetting
 from camctl.livestream.result import LiveResult
 from camctl.livestream.stream import Live
@@ -258,6 +260,39 @@ def test_a_slow_consumer_gets_the_latest_result_or_all() -> None:
             assert next(live).number == first.number + 1
             next(live)
             assert live.lost > 0
+
+
+class Gate:
+    """A cycle that gives some frames and then none until it is opened."""
+
+    def __init__(self, cycle: Any, frames: int) -> None:
+        self._cycle, self._left = cycle, frames
+        self.waits, self.opened = threading.Event(), threading.Event()
+
+    def __next__(self) -> Frame:
+        self._left -= 1
+        if self._left < 0:
+            self.waits.set()
+            self.opened.wait(60)
+        frame: Frame = next(self._cycle)
+        return frame
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._cycle, name)
+
+
+def test_a_result_that_is_there_is_given_while_the_next_frame_is_waited_for() -> None:
+    with real_time() as opened, camctl.live(opened, GIVEN) as live:
+        first = next(live)
+        live._cycle = gate = Gate(live._cycle, 5)
+        assert gate.waits.wait(60)
+        found: list[LiveResult] = []
+        consumer = threading.Thread(target=lambda: found.append(next(live)), daemon=True)
+        consumer.start()
+        consumer.join(10)
+        gate.opened.set()
+        assert not consumer.is_alive()
+        assert found[0].number > first.number
 
 
 def test_another_thread_ends_the_stream() -> None:
