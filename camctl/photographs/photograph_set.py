@@ -49,6 +49,7 @@ from camctl.photographs.selection import (
     of_one_view,
 )
 from camctl.photographs.valid_area import ValidArea
+from camctl.system.input_files import check_regular
 from camctl.system.number_text import time_text
 
 #: Pairs of a label and its true time that are shown.
@@ -141,6 +142,8 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         DataError: a file cannot be read or does not fit the others
         UsageError: an exposure is missing, or an option does not fit the files
     """
+    for path in paths[:1]:
+        check_regular(path, "")  # it may be a pattern that no file fits
     check_several(paths)
     files = PhotographFiles(paths, source.times)
     given = files.photographs

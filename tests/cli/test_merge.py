@@ -78,6 +78,7 @@ def test_colours_of_jpeg_photographs_are_those_of_the_scene(run: Run) -> None:
     ("line", "message"),
     [
         ("p00.png --times 1", "one photograph makes no merge"),
+        ("none/*.png", "cannot read none/*.png: No such file or directory"),
         (
             "p00.png p01.png --times 1",
             "1 exposure times were given for 2 files; give one for",
