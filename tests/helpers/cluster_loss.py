@@ -5,8 +5,8 @@
 Rates N captures, each with noise of its own.  When a third of the results is there the process with
 the scheduler gets SIGKILL, and the study must end with one `ResourceError`; then it is repeated on
 a new cluster, with the results that were kept.  Prints a JSON object: how many results the first
-attempt has kept, how many items the second one has computed, and whether the results are those of
-one process (of the first 10 captures).
+attempt has kept, how many items the second one has computed, and whether results are those of one
+process: of captures spread evenly over those kept, and over those computed after the loss.
 """
 
 from __future__ import annotations
@@ -63,6 +63,11 @@ def cluster() -> Iterator[subprocess.Popen[str]]:
             process.communicate()
 
 
+def spread(places: list[int]) -> list[int]:
+    """Return five or more of these, evenly spread, or all that there are."""
+    return places[:: max(1, len(places) // 5)]
+
+
 def main(count: int) -> None:
     os.environ["DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT"] = "5s"
     run = CaptureRun(
@@ -84,14 +89,17 @@ def main(count: int) -> None:
                 parallel.run_all(rate, runs, kept=kept, progress=kill)
             except ResourceError as lost:
                 error = str(lost)
-        before = len(dict(kept.read(runs)))
+        before = sorted(dict(kept.read(runs)))
         computed: list[float] = []
         with cluster():
             found = parallel.run_all(rate, runs, kept=kept, progress=computed.append)
+    after = sorted({*range(count)} - {*before})
+    compared = [spread(places) for places in (before, after)]
     # As JSON, in which NaN equals NaN.
-    same = to_json(found[:10]) == to_json([rate(each) for each in runs[:10]])
+    same = all(to_json(found[k]) == to_json(rate(runs[k])) for places in compared for k in places)
     seconds = round(time.monotonic() - began, 1)
-    described = {"error": error, "kept": before, "computed": len(computed), "same": same}
+    described = {"error": error, "kept": len(before), "computed": len(computed)}
+    described |= {"compared": [len(places) for places in compared], "same": same}
     print(json.dumps({"captures": len(found), **described, "seconds": seconds}))
 
 

@@ -107,6 +107,7 @@ def test_a_study_continues_after_its_cluster_was_killed() -> None:
     assert 8 <= found["kept"] < 24
     assert found["computed"] == 24 - found["kept"]
     assert found["captures"] == 24
+    assert min(found["compared"]) >= 5  # of those before the loss, and of those after it
     assert found["same"]
 
 
