@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from camctl.captures.sequencer import resume as resume
     from camctl.errors import CamctlError as CamctlError
     from camctl.errors import CameraBusyError as CameraBusyError
+    from camctl.errors import CameraClosedError as CameraClosedError
     from camctl.errors import CameraDisconnectedError as CameraDisconnectedError
     from camctl.errors import CameraError as CameraError
     from camctl.errors import CameraNotFoundError as CameraNotFoundError
@@ -126,9 +127,10 @@ _NAMES = {
     "livestream.stream": "Live live",
     "livestream.video_capture": "VideoCapture",
     "errors": (
-        "CamctlError CameraBusyError CameraDisconnectedError CameraError CameraNotFoundError "
-        "CameraProtocolError CameraTimeoutError CaptureError DataError InterruptedCaptureError "
-        "OutOfMemoryError RefusedSettingError ResourceError StorageError UsageError"
+        "CamctlError CameraBusyError CameraClosedError CameraDisconnectedError CameraError "
+        "CameraNotFoundError CameraProtocolError CameraTimeoutError CaptureError DataError "
+        "InterruptedCaptureError OutOfMemoryError RefusedSettingError ResourceError StorageError "
+        "UsageError"
     ),
     "exposure.accuracy": "AccuracySolution solve_accuracy",
     "exposure.evaluation": "Evaluation evaluate",

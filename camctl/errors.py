@@ -118,6 +118,10 @@ class CameraDisconnectedError(CameraError):
     """The camera was disconnected while in use, or it is closed."""
 
 
+class CameraClosedError(CameraDisconnectedError):
+    """The camera is not open: it was not opened, or its owner closed it."""
+
+
 class CameraTimeoutError(CameraError):
     """The camera sent nothing for longer than its time-out."""
 

@@ -181,7 +181,9 @@ class SimulatedCamera(CameraBase):
         endless = ExposureCycle.of(self._pipeline(self._cause_faults), requested)
         self._is_shooting = True
         self._tolerance_share = 1 / len(settings)
-        return StreamCycle(endless, self.controls, self._counted_frame, self._end_cycle)
+        return StreamCycle(
+            endless, self.controls, self._check_open, self._counted_frame, self._end_cycle
+        )
 
     def _end_cycle(self) -> None:
         self._is_shooting = False

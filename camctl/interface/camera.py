@@ -17,7 +17,7 @@ from typing import Any, Protocol, Self, TypeAlias, TypeVar, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.errors import CameraBusyError, CameraDisconnectedError
+from camctl.errors import CameraBusyError, CameraClosedError
 from camctl.interface.clock import Clock, check_cancelled
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.system.interrupts import entering, uninterrupted
@@ -290,14 +290,14 @@ class CameraBase(ABC):
 
     @property
     def info(self) -> CameraInfo:
-        """The identity of the camera; raises `CameraDisconnectedError` before it was opened."""
+        """The identity of the camera; raises `CameraClosedError` before it was opened."""
         if self._info is None:
             raise self._not_open()
         return self._info
 
     @property
     def controls(self) -> ExposureControls:
-        """What can be set; raises `CameraDisconnectedError` before the camera was opened."""
+        """What can be set; raises `CameraClosedError` before the camera was opened."""
         if self._controls is None:
             raise self._not_open()
         return self._controls
@@ -368,8 +368,8 @@ class CameraBase(ABC):
                 f"{self._name} is still shooting", hint="finish or close that sequence first"
             )
 
-    def _not_open(self) -> CameraDisconnectedError:
-        return CameraDisconnectedError(f"{self._name} is not open", hint="open it first")
+    def _not_open(self) -> CameraClosedError:
+        return CameraClosedError(f"{self._name} is not open", hint="open it first")
 
 
 _BUSY_PAUSES_S = (0.1, 0.2, 0.4, 0.8, 1.6)

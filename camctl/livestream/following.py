@@ -120,13 +120,17 @@ class Look:
             last=longest,
         )
 
-    def findings(self) -> tuple[Finding, ...]:
-        """Return what of the light is out of reach."""
+    def findings(self, dynamic_range: float) -> tuple[Finding, ...]:
+        """Return what of the light is out of reach of a range."""
         found = []
+        details: dict[str, str | float | int | bool | None] = {
+            "dynamic_range": dynamic_range,
+            "photographs": False,
+        }
         if self.clipped > MUCH:
-            found.append(Finding(code="light_above_range", value=self.clipped))
+            found.append(Finding(code="light_above_range", value=self.clipped, details=details))
         if self.dark > MUCH:
-            found.append(Finding(code="light_below_range", value=self.dark))
+            found.append(Finding(code="light_below_range", value=self.dark, details=details))
         return tuple(found)
 
 

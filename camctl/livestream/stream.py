@@ -12,6 +12,7 @@ from itertools import pairwise
 from typing import Literal, Self
 
 from camctl.errors import (
+    CameraClosedError,
     CameraDisconnectedError,
     CameraError,
     CameraTimeoutError,
@@ -91,7 +92,7 @@ class Live:
         self._last_number: int | None = None
         self._findings: tuple[Finding, ...] = ()
         self._more_findings: list[Finding] = []
-        self._wants_change = False
+        self._next_planner: LivePlanner | None = None  # of a change that is to come
         self._measures_noise = False
         self.lost = 0
         self.is_waiting = False
@@ -111,13 +112,15 @@ class Live:
     def change(self, request: CaptureRequest) -> None:
         """Go on with another request, without a gap.
 
+        Where this camera cannot meet it in the light that there is, the stream goes on as before,
+        and says so in a finding.
+
         Raises:
             UsageError: no camera can meet it; the stream goes on as before
         """
         planner = LivePlanner(self._camera, request, self._fps)
         with self._state:
-            self.planner = planner
-            self._wants_change = True
+            self._next_planner = planner
 
     def close(self) -> None:
         """End the stream; the camera can shoot again.  A second call does nothing."""
@@ -224,6 +227,8 @@ class Live:
             assert self._cycle is not None  # it was begun
             try:
                 frame = next(self._cycle)
+            except CameraClosedError:  # by its owner: it is not waited for
+                raise
             except (CameraDisconnectedError, CameraTimeoutError) as error:
                 self._reconnect(error)
                 return False
@@ -348,7 +353,7 @@ class Live:
         """Look at the light from time to time, beside the stream where that is in real time."""
         self._since_look += 1
         is_due = self._since_look >= max(_LOOK_FRAMES, len(self._shown.settings))
-        if not (is_due or self._wants_change):
+        if not (is_due or self._next_planner):
             return
         if self._job is not None:
             if not self._job.done():
@@ -378,9 +383,9 @@ class Live:
             with self._state:
                 self._keep_tables(wanted, found)
         self._contradicting = self._contradicting + 1 if self._contradicts(frames) else 0
-        self._more_findings = list(look.findings())
+        self._more_findings = list(look.findings(wanted.desired.dynamic_range))
         is_other = self._following.is_other(look) and self.planner.request.base_s is None
-        if is_other or self._wants_change:
+        if is_other or self._next_planner:
             self._plan_again(look)
 
     def _measure_noise(self, frames: tuple[Frame, ...]) -> None:
@@ -420,22 +425,32 @@ class Live:
             self._controls = replace(self._camera.controls, noise=self._controls.noise)
             self._start_cycle(plan)
         else:
-            finding = Finding(code="light_varies")
-        self._findings = (*self._findings, finding)
+            finding = Finding(code="light_varies", details={"within": "stream"})
+        self._contradicting = 0
+        self._add(finding)
+
+    def _add(self, finding: Finding) -> None:
+        """State a finding, once for each code."""
+        others = (each for each in self._findings if each.code != finding.code)
+        self._findings = (*others, finding)
 
     def _plan_again(self, look: Look) -> None:
         """Choose exposures for the light of the stream, and exchange the list."""
         before, cycle = self._wanted, self._cycle
         if before is None or cycle is None:
             return
-        is_wanted, self._wants_change = self._wants_change, False
+        with self._state:
+            changed, self._next_planner = self._next_planner, None
+        planner = changed or self.planner
         try:
-            plan = self.planner.again(look.light(self._controls, before.settings))
+            plan = planner.again(look.light(self._controls, before.settings))
         except (CaptureError, UsageError) as error:
-            self._following.accept(look, is_final=True)  # there are no better ones
-            if is_wanted:
-                self._findings = (*self._findings, note(str(error)))
+            if changed is None:
+                self._following.accept(look, is_final=True)  # there are no better ones
+            else:
+                self._add(note(str(error)))
             return
+        self.planner = planner
         if (plan.settings, plan.desired.key) == (before.settings, before.desired.key):
             self._following.accept(look, is_final=True)
             return

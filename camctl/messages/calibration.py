@@ -130,6 +130,8 @@ def _not_measured(finding: Finding) -> str:
 def _light_varies(finding: Finding) -> str:
     if finding.details["within"] == "pair":
         return f"the light changes by up to {finding.value:.1%} within a pair: corrected"
+    if finding.details["within"] == "stream":
+        return "frames contradict their exposures: the light changes from one frame to the next"
     return f"frames with one setting differ by {finding.value:.2%}: the light or the shutter varies"
 
 

@@ -232,6 +232,7 @@ class StreamCycle(Generic[DataT]):
     Args:
         cycle: assigns exposures to frames
         controls: of the camera, which has checked the list
+        check: raises where the camera is no longer open
         frame: makes a frame of a shot, which was requested with a setting
         ended: called once, at the end of the stream
     """
@@ -242,11 +243,12 @@ class StreamCycle(Generic[DataT]):
         self,
         cycle: ExposureCycle[DataT],
         controls: ExposureControls,
+        check: Callable[[], None],
         frame: Callable[[Shot[DataT], ExposureSetting], Frame],
         ended: Callable[[], None],
     ) -> None:
         self._cycle, self._controls, self._frame = cycle, controls, frame
-        self._ended = ended
+        self._check, self._ended = check, ended
         self._shots = cycle.shots()
         self._is_open = True
 
@@ -254,6 +256,7 @@ class StreamCycle(Generic[DataT]):
         return self
 
     def __next__(self) -> Frame:
+        self._check()
         shot, requested = next(self._shots)
         return replace(self._frame(shot, requested), place=shot.place)
 

@@ -45,7 +45,7 @@ class StreamCamera(PreviewedCamera, Generic[DataT]):
         """Return frames without end; see `camctl.interface.cycle.CyclingCamera`."""
         endless = ExposureCycle.of(self._pipeline, self._checked(settings))
         self._is_shooting = True
-        return StreamCycle(endless, self.controls, self._frame, self._end_cycle)
+        return StreamCycle(endless, self.controls, self._check_open, self._frame, self._end_cycle)
 
     def _end_cycle(self) -> None:
         self._is_shooting = False

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from small_cameras import gradient
 
 import camctl
-from camctl.errors import CameraDisconnectedError, UsageError
+from camctl.errors import CameraClosedError, CameraDisconnectedError, UsageError
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import Frame
 from camctl.interface.controls import ExposureSetting
 from camctl.livestream.result import LiveResult
-from camctl.livestream.stream import Live
+from camctl.livestream.stream import Live, Policy
 from camctl.messages.plain import sentence
 from camctl.sim.camera import Faults, SimulatedCamera
 from camctl.sim.scenes.scene import Scene
@@ -156,7 +156,67 @@ def test_light_out_of_reach_is_a_finding() -> None:
         results(live, 3)
         opened._renderer = brighter._renderer
         last = results(live, 80)[-1]
-    assert "light_above_range" in {finding.code for finding in last.findings}
+    words = {finding.code: sentence(finding) for finding in last.findings}
+    assert words["light_above_range"].startswith("100.0% of the picture is brighter")
+
+
+def test_dark_light_is_a_finding() -> None:
+    request = CaptureRequest(base_s=0.05, ratios=(1, 2), dynamic_range=16)
+    dark = gradient(*SHAPE, low=1e-5)
+    with camera(dark) as opened, camctl.live(opened, request) as live:
+        words = {each.code: sentence(each) for each in results(live, 40)[-1].findings}
+    assert "darker than its range of 1:16" in words["light_below_range"]
+
+
+def test_frames_that_keep_contradicting_are_one_finding() -> None:
+    """Settled at each exposure, the camera gets another light in each frame."""
+    random = np.random.default_rng(0)
+    with camera(late_frames=1) as opened:
+        steady = opened._renderer
+        renderers = [steady]
+        for factor in (0.2, 5.0):
+            scene = Scene("other", factor * gradient(*SHAPE), photons_per_unit=2e7)
+            with SimulatedCamera(scene, load_sensor("standard")) as other:
+                renderers.append(other._renderer)
+        with camctl.live(opened, GIVEN) as live:
+            results(live, 60)  # it settles
+            for _ in range(150):
+                opened._renderer = renderers[random.integers(3)]
+                last = next(live)
+    found = [each for each in last.findings if each.code == "light_varies"]
+    assert [sentence(each) for each in found] == [
+        "frames contradict their exposures: the light changes from one frame to the next"
+    ]
+
+
+def test_a_change_that_cannot_be_met_leaves_the_stream_as_it_was() -> None:
+    truth = gradient(*SHAPE, low=0.05)
+    request = CaptureRequest(count=3)
+    with (
+        camera(truth) as opened,
+        camera(truth * 8) as brighter,
+        camctl.live(opened, request) as live,
+    ):
+        first = results(live, 40)[-1]
+        for _ in range(3):
+            live.change(CaptureRequest(base_s=5.0, ratios=(1, 4)))
+            refused = results(live, 20)[-1]
+        assert refused.plan == first.plan
+        assert sum(each.code == "note" for each in refused.findings) == 1
+        opened._renderer = brighter._renderer
+        bright = results(live, 100)[-1]
+    assert 5 < first.plan.settings[0].time_s / bright.plan.settings[0].time_s < 12
+
+
+@pytest.mark.parametrize("policy", ["latest", "all"])
+def test_a_camera_that_its_owner_closed_stays_closed(policy: Policy) -> None:
+    with real_time() as opened:
+        live = camctl.live(opened, GIVEN, policy=policy)
+        next(live)
+    with pytest.raises(CameraClosedError):
+        results(live, 100)
+    assert not live.is_waiting
+    live.close()
 
 
 def test_a_rate_that_shortens_the_exposures_is_named() -> None:
