@@ -80,7 +80,7 @@ def cameras(
     found = [camera for backend in backends for camera in backend.cameras]
     rows = [[str(getattr(camera, name)) for name in headings] for camera in found]
     if as_json:
-        print_json([dict(zip(headings, row, strict=True)) for row in rows])
+        print_json({"cameras": [dict(zip(headings, row, strict=True)) for row in rows]})
         return
     if not any(camera.remark for camera in found):
         headings, rows = headings[:-1], [row[:-1] for row in rows]

@@ -102,17 +102,16 @@ def figures(
     with progress_bar(f"drawing {len(todo)} figures") as bar:
         run_all(draw, in_order, workers=workers, progress=without_stage(bar))
     if as_json:
-        print_json(
-            [
-                {
-                    "figure": files.number,
-                    "title": files.title,
-                    "caption": files.caption,
-                    "files": files.paths,
-                }
-                for files in todo
-            ]
-        )
+        drawn = [
+            {
+                "figure": files.number,
+                "title": files.title,
+                "caption": files.caption,
+                "files": files.paths,
+            }
+            for files in todo
+        ]
+        print_json({"figures": drawn})
         return
     print_text(format_fields([(f"figure {f.number}", f"{f.title}: {f.paths[0]}") for f in todo]))
 

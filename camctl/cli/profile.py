@@ -67,7 +67,7 @@ def list_(as_json: bool) -> None:
 
     found = list_profiles()
     if as_json:
-        print_json([{"name": each.name, **dict(each)} for each in found])
+        print_json({"profiles": [{"name": each.name, **dict(each)} for each in found]})
         return
     if not found:
         print_text(f"no profiles in {visible(profile_directory())}; camctl calibrate creates them")

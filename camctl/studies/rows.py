@@ -18,7 +18,7 @@ _WRITTEN = "give a file of the JSON that the same study has written"
 
 
 def read_runs(path: Path, kind: type[RunT]) -> tuple[RunT, ...]:
-    """Return the runs in the rows of a JSON file that a study has written, each once.
+    """Return the runs in the ``rows`` of a JSON file that a study has written, each once.
 
     Args:
         path: the file; a row is an object with the fields of `kind` and with results, which are
@@ -30,9 +30,11 @@ def read_runs(path: Path, kind: type[RunT]) -> tuple[RunT, ...]:
         UsageError: a value that `kind` refuses
     """
     try:
-        rows = from_json(read_input(path, "", hint=_WRITTEN))
+        content = from_json(read_input(path, "", hint=_WRITTEN))
     except ValueError as error:
         raise DataError(f"{path} is not JSON", hint=_WRITTEN) from error
+    # Versions before 0.2.0 have written the list alone.
+    rows = content.get("rows") if isinstance(content, dict) else content
     if not isinstance(rows, list) or not rows:
         raise DataError(f"{path} has no rows", hint=_WRITTEN)
     adapter = TypeAdapter(kind)

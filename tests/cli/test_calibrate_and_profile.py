@@ -31,7 +31,7 @@ def test_delay_is_measured_kept_and_shown(run: Run) -> None:
     assert output["camera"]["id"] == "sim"
     (kept,) = list_profiles()
     assert Path(output["file"]).stem == kept.name
-    (listed,) = run("profile", "list", "--json").json
+    (listed,) = run("profile", "list", "--json").json["profiles"]
     shown = run("profile", "show", kept.name, "--json").json
     assert {**listed, "format_version": 1} == shown
     assert shown["delays"]["rggb10-64x48-30"]["frames"] == 3
@@ -80,7 +80,7 @@ def test_remove_deletes_one_profile(run: Run) -> None:
     output = run("profile", "remove", second.name, "--json").json
     assert not Path(output["removed"]).exists()
     assert run("profile", "list").out.startswith("no profiles in ")
-    assert run("profile", "list", "--json").json == []
+    assert run("profile", "list", "--json").json == {"format_version": 1, "profiles": []}
 
 
 def test_unknown_profile_suggests_similar_names(run: Run) -> None:

@@ -17,7 +17,7 @@ from camctl.sim.backend import SimulatedBackend
 
 
 def test_simulated_camera_and_its_backend_are_listed(run: Run) -> None:
-    (camera,) = [each for each in run("cameras", "--json").json if each["id"] == "sim"]
+    (camera,) = [each for each in run("cameras", "--json").json["cameras"] if each["id"] == "sim"]
     assert set(camera) == {"id", "make", "model", "serial", "driver", "remark"}
     cameras, searches = run("cameras").out.split("\n\n")
     assert any(line.startswith("sim ") for line in cameras.splitlines()[1:])
@@ -47,7 +47,7 @@ def replace_backends(monkeypatch: pytest.MonkeyPatch, **kinds: type) -> None:
 def test_failed_search_is_a_warning(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     replace_backends(monkeypatch, closed=FailingBackend)
     ran = run("cameras", "--json")
-    assert ran.json == []
+    assert ran.json == {"format_version": 1, "cameras": []}
     assert ran.err == "camctl: warning: closed: the bus is closed; open it\n"
     cameras, searches = run("cameras").out.split("\n\n")
     assert cameras == "no camera found"
@@ -87,5 +87,7 @@ def test_serial_cameras_are_found_only_with_probe(
     run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     replace_backends(monkeypatch, serial=SerialBackend)
-    assert run("cameras", "--json").json == []
-    assert [each["id"] for each in run("cameras", "--probe", "--json").json] == ["serial:1"]
+    assert run("cameras", "--json").json["cameras"] == []
+    assert [each["id"] for each in run("cameras", "--probe", "--json").json["cameras"]] == [
+        "serial:1"
+    ]

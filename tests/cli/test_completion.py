@@ -60,7 +60,7 @@ def test_completion_offers_profiles(run: Run, monkeypatch: pytest.MonkeyPatch) -
     assert complete(run, monkeypatch, "camctl profile show ") == []
     monkeypatch.delenv("_CAMCTL_COMPLETE")
     assert run("calibrate", "delay", "-O", "size=32x24", "--trials", "2").status == 0
-    (name,) = [each["name"] for each in run("profile", "list", "--json").json]
+    (name,) = [each["name"] for each in run("profile", "list", "--json").json["profiles"]]
     assert complete(run, monkeypatch, "camctl profile show ") == [name]
 
 

@@ -19,7 +19,7 @@ QUICK = ("figures", "--workers", "1", "--dpi", "40")
 
 @pytest.mark.slow
 def test_figures_are_written_with_captions(run: Run) -> None:
-    found = run(*QUICK, "--only", "3,6", "-o", "drawn/here", "--svg", "--json").json
+    found = run(*QUICK, "--only", "3,6", "-o", "drawn/here", "--svg", "--json").json["figures"]
     assert [row["figure"] for row in found] == ["3", "6"]
     for row in found:
         png, svg = (Path(name) for name in row["files"])
@@ -45,7 +45,7 @@ def test_all_figures_are_drawn_and_none_is_flat(run: Run) -> None:
 
     assert tuple(FIGURES) == NUMBERS
     numbers = [number for number in NUMBERS if number != "4"]  # it takes half a minute
-    found = run(*QUICK, "--only", ",".join(numbers), "--json").json
+    found = run(*QUICK, "--only", ",".join(numbers), "--json").json["figures"]
     for row in found:
         picture = cv2.imread(row["files"][0], cv2.IMREAD_GRAYSCALE)
         assert picture is not None

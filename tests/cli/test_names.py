@@ -99,7 +99,7 @@ def test_name_of_a_sensor_and_its_camera_is_visible(run: Run) -> None:
     listed = run("profile", "list")
     assert f"simulated {SHOWN}" in listed.out
     check_visible(listed)
-    (name,) = [each["name"] for each in run("profile", "list", "--json").json]
+    (name,) = [each["name"] for each in run("profile", "list", "--json").json["profiles"]]
     shown = run("profile", "show", name)
     assert SHOWN in shown.out
     check_visible(shown)

@@ -200,7 +200,7 @@ def still(monkeypatch: pytest.MonkeyPatch) -> Callable[..., VirtualStill]:
 
 def test_still_camera_is_listed_and_shoots(run: Run, still: Callable[..., VirtualStill]) -> None:
     still(files="tiff", serial="A77")
-    listed = {each["id"]: each for each in run("cameras", "--json").json}
+    listed = {each["id"]: each for each in run("cameras", "--json").json["cameras"]}
     assert listed["ptp:A77"]["driver"] == "ptp"
     arguments = ("shoot", "--camera", "ptp:A77", *BASE, "-o", "here", "-O", "response=linear")
     output = run(*arguments, "--json").json
@@ -301,7 +301,7 @@ def test_coolpix_is_found_only_with_probe(
     # Long enough for a busy machine; the camera answers at once.
     monkeypatch.setattr("camctl.drivers.coolpix.backend._PROBE_S", 60.0)
     monkeypatch.setattr("camctl.drivers.coolpix.backend._PORT_TIMEOUT_S", 60.0)
-    assert "coolpix" not in {each["driver"] for each in run("cameras", "--json").json}
+    assert "coolpix" not in {each["driver"] for each in run("cameras", "--json").json["cameras"]}
     assert coolpix.camera is not None
     found = {each["driver"] for each in run("cameras", "--probe", "--json").json}
     assert "coolpix" in found

@@ -21,15 +21,18 @@ QUICK_SIMULATION = (
 )
 
 
-def without_times(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return rows without what depends on the speed of the machine."""
-    return [{k: v for k, v in row.items() if k not in ("cpu_s", "milliseconds")} for row in rows]
+def without_times(found: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the rows without what depends on the speed of the machine."""
+    return [
+        {k: v for k, v in row.items() if k not in ("cpu_s", "milliseconds")}
+        for row in found["rows"]
+    ]
 
 
 @pytest.mark.slow
 def test_solver_rows_hold_the_run_and_what_it_found(run: Run) -> None:
     pytest.importorskip("scipy", reason="scipy is not installed")
-    rows = run(*QUICK_SOLVER, "--json", "--workers", "1").json
+    rows = run(*QUICK_SOLVER, "--json", "--workers", "1").json["rows"]
     assert {row["method"] for row in rows} == {
         "camctl",
         "differential-evolution",
@@ -48,7 +51,7 @@ def test_solver_rows_hold_the_run_and_what_it_found(run: Run) -> None:
 
 
 def test_xi_of_a_row_is_that_of_its_exposures(run: Run) -> None:
-    rows = run(*QUICK_SOLVER, "--json", "--workers", "1", "--methods", "camctl,grid").json
+    rows = run(*QUICK_SOLVER, "--json", "--workers", "1", "--methods", "camctl,grid").json["rows"]
     for row in rows[:: max(1, len(rows) // 3)]:
         ratios = ",".join(repr(exposure) for exposure in row["exposures"])
         options = ("--response", "log", "--range", "1000", "--bits", "4")
@@ -74,7 +77,7 @@ def test_simulation_rows_can_be_run_again(run: Run, tmp_path: Path) -> None:
 
 
 def test_differences_of_the_simulation_stay_within_their_bounds(run: Run) -> None:
-    found = run(*QUICK_SIMULATION, "--json", "--workers", "1").json
+    found = run(*QUICK_SIMULATION, "--json", "--workers", "1").json["rows"]
     rows = [row for row in found if row["method"] == "camctl"]
     assert [row["tolerance_dn"] for row in rows] == [0, 0.5, 8] * 2
     others = [row for row in found if row["tolerance_dn"] is None]
@@ -177,7 +180,8 @@ def test_bad_input(arguments: tuple[str, ...], message: str, run: Run) -> None:
         ("no", "rows.json is not JSON; give a file of the JSON that the same study has written"),
         ("[]", "rows.json has no rows; give a file of the JSON that the same study has written"),
         ('[{"method": "grid", "n": "x"}]', "rows.json, row 1: n: "),
-        ('[{"n": 3}]', "rows.json, row 1: method: "),
+        ('{"rows": {}}', "rows.json has no rows; give a file"),
+        ('{"format_version": 1, "rows": [{"n": 3}]}', "rows.json, row 1: method: "),
         ('[{"method": "sorting"}]', "unknown method 'sorting'"),
     ],
 )
@@ -189,5 +193,5 @@ def test_damaged_rows(content: str, message: str, run: Run) -> None:
 def test_rows_with_the_same_run_are_run_once(run: Run) -> None:
     row = {"method": "grid", "response": "linear", "n": 2, "bits": 4, "max_evaluations": 100}
     Path("rows.json").write_text(json.dumps([row, row | {"xi": 1.0}]))
-    rows = run("tradeoff", "solver", "--again", "rows.json", "--json").json
+    rows = run("tradeoff", "solver", "--again", "rows.json", "--json").json["rows"]
     assert len({row["evaluations"] for row in rows}) == len(rows)

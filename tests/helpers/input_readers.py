@@ -225,8 +225,9 @@ SOLVER_ROWS = (
     b'"seed": 0, "limit_s": 2.0, "max_evaluations": null, "xi": 12.5}]'
 )
 SIMULATION_ROWS = (
-    b'[{"scene": "room", "sensor": "complete", "tolerances_dn": [0, 0.5], "stops": 0.0, '
-    b'"size": "64x48", "seed": 0, "frames": 5}]'
+    b'{"format_version": 1, "rows": [{"scene": "room", '
+    b'"sensor": "complete", "tolerances_dn": [0, 0.5], "stops": 0.0, '
+    b'"size": "64x48", "seed": 0, "frames": 5}]}'
 )
 
 

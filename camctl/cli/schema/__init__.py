@@ -20,8 +20,8 @@ from camctl.errors import unknown_name
 def schema(names: tuple[str, ...]) -> None:
     """Print the JSON schema of what a command prints with --json.
 
-    Objects have a format_version, which changes when a field is removed or gets another meaning,
-    not when one is added.
+    It is an object with a format_version, which changes when a field is removed or gets another
+    meaning, not when one is added.
     """
     from camctl.cli.schema.types import schema as schema_of
     from camctl.cli.schema.types import schema_names

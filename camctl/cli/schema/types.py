@@ -299,13 +299,40 @@ class Removed(TypedDict):
     removed: str
 
 
+class Cameras(TypedDict):
+    """The connected cameras: `camctl cameras`."""
+
+    __pydantic_config__ = _CLOSED  # type: ignore[misc]
+
+    format_version: Version
+    cameras: list[CameraInfo]
+
+
+class Profiles(TypedDict):
+    """All profiles: `camctl profile list`."""
+
+    __pydantic_config__ = _CLOSED  # type: ignore[misc]
+
+    format_version: Version
+    profiles: list[Profile]
+
+
 class Figure(TypedDict):
-    """A figure of the paper: `camctl figures`."""
+    """A figure of the paper."""
 
     figure: str
     title: str
     caption: str
     files: list[str]
+
+
+class Figures(TypedDict):
+    """Figures that were drawn: `camctl figures`."""
+
+    __pydantic_config__ = _CLOSED  # type: ignore[misc]
+
+    format_version: Version
+    figures: list[Figure]
 
 
 TYPES: Final[dict[str, Any]] = {
@@ -315,15 +342,15 @@ TYPES: Final[dict[str, Any]] = {
     "calibrate exposure": ExposureResult,
     "calibrate noise": NoiseResult,
     "calibrate response": ResponseResult,
-    "cameras": list[CameraInfo],
+    "cameras": Cameras,
     "doctor": Diagnosis,
     "error": Failure,
     "evaluate": Evaluated,
-    "figures": list[Figure],
+    "figures": Figures,
     "live": Streamed,
     "preview": Previewed,
     "profile import": Named,
-    "profile list": list[Profile],
+    "profile list": Profiles,
     "profile remove": Removed,
     "profile show": Profile,
     "series": SeriesJournal,
@@ -374,10 +401,16 @@ def _rows(run: type, point: type, more: dict[str, Any]) -> dict[str, Any]:
         for name, kind in fields.items():
             if kind.get("type") == "number":
                 fields[name] = {**kind, "type": ["number", "null"], "default": None}
+    row = {"type": "object", "properties": properties, "additionalProperties": False}
     return {
         "$defs": parts_of_rows,
-        "type": "array",
-        "items": {"type": "object", "properties": properties, "additionalProperties": False},
+        "type": "object",
+        "properties": {
+            "format_version": TypeAdapter(Version).json_schema(),
+            "rows": {"type": "array", "items": row},
+        },
+        "required": ["format_version", "rows"],
+        "additionalProperties": False,
     }
 
 

@@ -72,7 +72,7 @@ class StudyOptions:
         if self.plots:
             draw(found, self.plots)
         if as_json:
-            print_json(found.rows())
+            print_json({"rows": found.rows()})
         else:
             print_text(text(found))
 

@@ -28,7 +28,7 @@ def test_the_list_names_the_cameras_of_all_backends(
 ) -> None:
     listed = camctl("cameras", "--probe", "--json")
     assert listed.status == 0, listed.err
-    cameras = {with_real_path(camera["id"]): camera for camera in json.loads(listed.out)}
+    cameras = {with_real_path(camera["id"]): camera for camera in json.loads(listed.out)["cameras"]}
     for device in rig.DEVICES:
         camera = cameras[with_real_path(rig.camera_id(device))]
         assert camera["model"]
@@ -44,7 +44,7 @@ def test_without_probing_nothing_is_sent_to_serial_ports(
     before = hub.do(rig.COOLPIX.name, "state")
     listed = camctl("cameras", "--json")
     assert listed.status == 0, listed.err
-    assert "coolpix" not in {camera["driver"] for camera in json.loads(listed.out)}
+    assert "coolpix" not in {camera["driver"] for camera in json.loads(listed.out)["cameras"]}
     assert hub.do(rig.COOLPIX.name, "state") == before
 
 
