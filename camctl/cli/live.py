@@ -100,7 +100,13 @@ def live(
 
     if request.table is not None:
         raise UsageError("a live camera has no table of exposures", hint="leave --set table= out")
-    is_piped = any(each in ("-", "raw:-") for each in outputs)
+    piped = [each for each in outputs if each in ("-", "raw:-")]
+    is_piped = bool(piped)
+    if len(piped) > 1:
+        raise UsageError(
+            f"--output {piped[0]} and --output {piped[1]} would be mixed in one pipe",
+            hint="leave one of them out",
+        )
     if as_json and is_piped:
         raise UsageError("--json cannot be combined with --output -", hint="leave one of them out")
     wanted = request.request()

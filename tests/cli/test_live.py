@@ -29,6 +29,8 @@ def test_results_become_files(run: Run, tmp_path: Path) -> None:
         (("--output", "exr"), "unknown output"),
         (("--output", "v4l2:"), "unknown output"),
         (("--output", "-", "--json"), "cannot be combined"),
+        (("--output", "raw:-", "--output", "-"), "would be mixed in one pipe"),
+        (("--output", "-", "--output", "-"), "would be mixed in one pipe"),
         (("--output", "http:x"), "invalid address"),
         (("--output", "http:0.0.0.0:80"), "could be used by anybody"),
         (("--output", "v4l2:/dev/none", "--ratios", "1,4"), "cannot open /dev/none"),
