@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 import threading
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
@@ -69,7 +71,7 @@ class WebOutput:
         self.is_open = True
         self._result: LiveResult | None = None
         self._numbers: dict[str, Any] = {}
-        self.viewers = 0
+        self.viewers = 0  # requests that want pictures
         self.site = Site(address, token, TOKEN_VARIABLE, "http:", "the live page", _PAGE)
         self.site.start(_Handler, output=self)
 
@@ -92,6 +94,30 @@ class WebOutput:
         with self.changed:
             self.changed.notify_all()
         self.site.stop()
+
+    @contextmanager
+    def viewed(self) -> Iterator[int]:
+        """Have results compressed; gives the version of the last picture, which may be old."""
+        with self.changed:
+            self.viewers += 1
+            known = self.version
+        try:
+            yield known
+        finally:
+            with self.changed:
+                self.viewers -= 1
+
+    def picture(self, known: int, patience_s: float) -> tuple[int, bytes]:
+        """Wait for another version than the known one; return version and picture of the last."""
+        with self.changed:
+            self.changed.wait_for(lambda: self.version != known or not self.is_open, patience_s)
+            return self.version, self.jpeg
+
+    def newest(self) -> bytes | None:
+        """Wait for the next result and return its picture; None: there is none."""
+        with self.viewed() as known:
+            version, picture = self.picture(known, _SILENCE_S + 1 / self._live.planner.fps)
+        return None if version == known else picture
 
     def state(self) -> dict[str, Any]:
         """Return the numbers of the last result, for JSON."""
@@ -153,7 +179,11 @@ class _Handler(SiteHandler):
             case "/state":
                 self.answer(json.dumps(self.output.state()).encode(), "application/json")
             case "/picture.jpg":
-                self.answer(self.output.jpeg, "image/jpeg")
+                picture = self.output.newest()
+                if picture is None:
+                    self.refuse(HTTPStatus.SERVICE_UNAVAILABLE, "the camera sends no pictures")
+                else:
+                    self.answer(picture, "image/jpeg")
             case "/video":
                 self._stream()
             case _:
@@ -164,21 +194,10 @@ class _Handler(SiteHandler):
         output = self.output
         self.close_connection = True
         self.send_head(f"multipart/x-mixed-replace; boundary={_BOUNDARY}", None)
-        with output.changed:
-            output.viewers += 1
-        try:
-            sent = 0
+        with output.viewed() as sent:
             while output.is_open:
-                with output.changed:
-                    output.changed.wait_for(
-                        lambda known=sent: output.version != known or not output.is_open,  # type: ignore[misc]
-                        _SILENCE_S,
-                    )
-                    sent, jpeg = output.version, output.jpeg
+                sent, picture = output.picture(sent, _SILENCE_S)
                 self.server.note_request(self.connection)
-                head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}"
-                self.wfile.write(f"{head}\r\n\r\n".encode() + jpeg + b"\r\n")
+                head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: "
+                self.wfile.write(f"{head}{len(picture)}\r\n\r\n".encode() + picture + b"\r\n")
                 self.wfile.flush()
-        finally:
-            with output.changed:
-                output.viewers -= 1

@@ -14,9 +14,10 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import OpenEXR
@@ -177,6 +178,42 @@ def test_the_page_has_picture_histogram_and_exposures() -> None:
         assert state["latency_s"] < 5
         assert ask(output, "other")[0] == 404
         assert ask(output, Host="other.example")[0] == 403
+
+
+def decoded(data: bytes) -> NDArray[np.uint8]:
+    import cv2
+
+    return np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE), np.uint8)
+
+
+def test_one_picture_is_of_the_next_result_and_others_are_not_compressed() -> None:
+    """Each result is a grey of its own: 8 for the first, 16 for the next one."""
+    with stream() as live:
+        display = Display()
+        output = WebOutput(live, "0", display=display, token="")
+        made: list[int] = []
+
+        def grey(one: LiveResult) -> NDArray[np.uint8]:
+            made.append(one.number)
+            return np.full((48, 64), 8 * (one.number + 1), np.uint8)
+
+        with mock.patch.object(display, "picture", grey), closing(output):
+            for _ in range(20):
+                output.write(next(live))
+            assert made == [0]
+            answers: list[tuple[int, bytes]] = []
+            asking = threading.Thread(target=lambda: answers.append(ask(output, "picture.jpg")))
+            asking.start()
+            ends = time.monotonic() + 20
+            while not output.viewers and time.monotonic() < ends:
+                time.sleep(0.01)
+            output.write(next(live))
+            asking.join()
+            assert answers[0][0] == 200
+            assert np.abs(decoded(answers[0][1]).astype(int) - 8 * 21).max() <= 2
+            assert (made, output.viewers) == ([0, 20], 0)
+            with mock.patch("camctl.livestream.web._SILENCE_S", 0.1):
+                assert ask(output, "picture.jpg")[0] == 503  # an old one is not called new
 
 
 def test_the_page_of_a_live_camera_needs_its_token() -> None:
