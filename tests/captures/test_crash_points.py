@@ -41,7 +41,8 @@ def sweep(folder: Path, *arguments: str) -> list[dict[str, Any]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.proof)])
 @pytest.mark.parametrize(
-    ("scenario", "least"), [("resume", 60), ("force", 80), ("retry", 120), ("series", 200)]
+    ("scenario", "least"),
+    [("fresh", 90), ("resume", 60), ("force", 80), ("retry", 120), ("series", 200)],
 )
 def test_no_crash_of_a_capture_loses_what_was_acknowledged(
     folder: Path, scenario: str, least: int, every: bool

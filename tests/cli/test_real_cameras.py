@@ -303,5 +303,5 @@ def test_coolpix_is_found_only_with_probe(
     monkeypatch.setattr("camctl.drivers.coolpix.backend._PORT_TIMEOUT_S", 60.0)
     assert "coolpix" not in {each["driver"] for each in run("cameras", "--json").json["cameras"]}
     assert coolpix.camera is not None
-    found = {each["driver"] for each in run("cameras", "--probe", "--json").json}
+    found = {each["driver"] for each in run("cameras", "--probe", "--json").json["cameras"]}
     assert "coolpix" in found
