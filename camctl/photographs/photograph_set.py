@@ -43,7 +43,6 @@ from camctl.photographs.response import (
 from camctl.photographs.selection import (
     Selection,
     Views,
-    check_several,
     distinct,
     of_one_colour,
     of_one_view,
@@ -144,7 +143,8 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     """
     for path in paths[:1]:
         check_regular(path, "")  # it may be a pattern that no file fits
-    check_several(paths)
+    if len(paths) < 2:
+        raise UsageError("one photograph makes no merge", hint="give two or more exposures")
     files = PhotographFiles(paths, source.times)
     given = files.photographs
     photographs, unstated = with_all_stated(given)

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from camctl.calibration.response.series import Series
-from camctl.errors import DataError, UsageError
+from camctl.errors import DataError
 from camctl.evidence.views import Likeness, likenesses, unlike_each_other, unlike_others
 from camctl.findings import Finding
 from camctl.interface.controls import ExposureControls, Layout
@@ -49,30 +49,32 @@ def distinct(sights: Sequence[Sight], notes: list[Finding]) -> list[int]:
         notes: findings, to which this adds one for each of the others
 
     Raises:
-        DataError: two copies state different exposures
-        UsageError: fewer than two photographs remain
+        DataError: two copies state different exposures, or fewer than two photographs remain
     """
     first: dict[bytes, int] = {}
     kept = []
     empty = []
+    why = []
     for k, sight in enumerate(sights):
         earlier = first.setdefault(sight.digest, k)
         if sight.is_even:
             empty.append(Finding(code="empty", frames=(k,)))
+            why.append(f"{sight.photograph.name} is one colour everywhere")
         elif earlier == k:
             kept.append(k)
         else:
             _check_copy(sights[earlier].photograph, sight.photograph)
             notes.append(Finding(code="copy", frames=(k, earlier)))
+            original = sights[earlier].photograph
+            why.append(f"{sight.photograph.name} is the same photograph as {original.name}")
     notes += empty
-    check_several(kept)
+    if len(kept) < 2:
+        more = "" if len(why) <= 3 else f", and {len(why) - 3} others are such"
+        raise DataError(
+            f"{len(kept)} of {len(sights)} photographs can be merged: {', '.join(why[:3])}{more}",
+            hint="give two or more exposures of one scene",
+        )
     return kept
-
-
-def check_several(photographs: Sequence[object]) -> None:
-    """Raise `UsageError` for a single photograph."""
-    if len(photographs) < 2:
-        raise UsageError("one photograph makes no merge", hint="give two or more exposures")
 
 
 def _check_copy(one: Photograph, other: Photograph) -> None:

@@ -300,6 +300,37 @@ def test_photographs_of_one_colour_are_left_out(opened: Opened) -> None:
     assert len(found.camera.photographs) == 4
 
 
+@pytest.mark.parametrize(
+    ("levels", "message"),
+    [
+        (
+            (40, 255),
+            "0 of 2 photographs can be merged: p00.png is one colour everywhere, p01.png is",
+        ),
+        ((None, 255), "1 of 2 photographs can be merged: p01.png is one colour everywhere;"),
+        ((0, 10, 20, 30, 40), r"p02.png is one colour everywhere, and 2 others are such;"),
+    ],
+)
+def test_what_is_left_out_is_named_where_too_few_remain(
+    opened: Opened, levels: tuple[int | None, ...], message: str
+) -> None:
+    def even(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
+        return pixels if levels[k] is None else np.full_like(pixels, levels[k])
+
+    with pytest.raises(DataError, match=message):
+        opened(TIMES[2 : 2 + len(levels)], change=even)
+
+
+def test_a_photograph_and_its_copy_are_one(opened: Opened) -> None:
+    opened(TIMES[:2])
+    Path("copy.png").write_bytes(Path("p00.png").read_bytes())
+    with pytest.raises(DataError, match=r"1 of 2 .*: copy.png is the same photograph as p00.png;"):
+        open_photographs(
+            [Path("p00.png"), Path("copy.png")],
+            PhotographOptions(times=(TIMES[0], TIMES[0]), curve="srgb"),
+        )
+
+
 def test_different_sizes_and_formats_are_named(opened: Opened) -> None:
     opened(TIMES[:3])
     files = [Path(f"p{k:02d}.png") for k in range(3)]
