@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import subprocess
 import sys
+import tomllib
 from importlib.metadata import distribution, requires
 from pathlib import Path
 
@@ -33,19 +35,19 @@ def test_some_tests_of_menu_and_captures_pass_without_opencv() -> None:
 
 
 def test_device_requirements_are_the_dependencies_without_opencv() -> None:
-    listed = {
-        _name(line)
-        for line in (ROOT / "docs/how-to/requirements-device.txt").read_text().splitlines()
-        if not line.startswith("#")
-    }
+    lines = (ROOT / "docs/how-to/requirements-device.txt").read_text().splitlines()
+    assert {each for each in _dependencies() if not each.startswith("opencv")} <= {*lines}
+    listed = {_name(line) for line in lines if not line.startswith("#")}
     assert listed == _needed("camctl", set()) - {"camctl"}
 
 
 def test_the_command_beside_another_opencv_names_all_other_dependencies() -> None:
     page = (ROOT / "docs/how-to/install.md").read_text(encoding="utf-8")
-    (line,) = re.findall(r"^pip install (numpy .*)$", page, re.MULTILINE)
-    needed = {_name(each) for each in requires("camctl") or [] if ";" not in each}
-    assert {_name(word) for word in line.split()} == needed - {"opencv-contrib-python-headless"}
+    (command,) = re.findall(r"^pip install ('numpy.*)$", page, re.MULTILINE)
+    needed = _dependencies()
+    (opencv,) = [each for each in needed if each.startswith("opencv")]
+    assert sorted(shlex.split(command)) == sorted(needed - {opencv})
+    assert f"camctl works with each of the four, from version {opencv.split('>=')[1]} on." in page
 
 
 def test_page_states_the_aarch64_wheels_of_all_compiled_dependencies() -> None:
@@ -55,6 +57,12 @@ def test_page_states_the_aarch64_wheels_of_all_compiled_dependencies() -> None:
     page = (ROOT / "docs/how-to/menu.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| ([\w-]+) \| [\d.]+, `manylinux\w+_aarch64` \|", page, re.MULTILINE)
     assert {_name(row) for row in rows} == compiled
+
+
+def _dependencies() -> set[str]:
+    """Return the dependencies of pyproject.toml, with their least versions."""
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    return {*tomllib.loads(text)["project"]["dependencies"]}
 
 
 def _wheel_file(package: str) -> str:
