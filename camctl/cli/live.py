@@ -155,7 +155,7 @@ def _output(text: str, results: Live, *, look: bool, every: int) -> Output:
     if kind == "v4l2" and rest:
         return _Loopback(rest, Display(look=look))
     if text == "-":
-        return Y4mOutput(sys.stdout.buffer, Display(look=look), results.planner.fps)
+        return Y4mOutput(sys.stdout.buffer, Display(look=look), results)
     if text == "raw:-":
         return RawOutput(sys.stdout.buffer)
     if kind == "exr" and rest:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from pathlib import Path
 from typing import BinaryIO, Protocol
 
@@ -11,9 +12,14 @@ from numpy.typing import NDArray
 from camctl.errors import UsageError
 from camctl.interface.controls import Layout
 from camctl.livestream.display import Display
+from camctl.livestream.planning import result_rate
 from camctl.livestream.result import LiveResult
+from camctl.livestream.stream import Live
 from camctl.system.files import make_folder, storage_error
 from camctl.system.picture_operations import required_opencv
+
+#: Most of the denominator of a rate: those of NTSC have 1001, and both parts stay below 2^31.
+_RATE_PARTS = 10_000
 
 
 class Output(Protocol):
@@ -47,14 +53,16 @@ class RawOutput:
 class Y4mOutput:
     """YUV4MPEG2, which ffmpeg and players read without further options, in 8 bits.
 
+    Its rate is that of the first exposures; longer ones, and a slow reader, make it smaller later.
+
     Args:
         stream: where it goes
         display: makes the pictures
-        fps: results a second, for the header
+        live: the stream whose results are written
     """
 
-    def __init__(self, stream: BinaryIO, display: Display, fps: float) -> None:
-        self._stream, self._display, self._fps = stream, display, fps
+    def __init__(self, stream: BinaryIO, display: Display, live: Live) -> None:
+        self._stream, self._display, self._live = stream, display, live
         self._shape: tuple[int, ...] | None = None
 
     def write(self, result: LiveResult) -> None:
@@ -64,8 +72,12 @@ class Y4mOutput:
             self._shape = picture.shape
             rows, columns = picture.shape[:2]
             colours = "mono" if picture.ndim == 2 else "444"
-            rate = f"{round(self._fps * 1000)}:1000"
-            head = f"YUV4MPEG2 W{columns} H{rows} F{rate} Ip A1:1 C{colours} XCOLORRANGE=FULL\n"
+            found = result_rate(self._live.controls, result.plan.settings)
+            rate = Fraction(found).limit_denominator(_RATE_PARTS)
+            head = (
+                f"YUV4MPEG2 W{columns} H{rows} F{rate.numerator}:{rate.denominator} Ip A1:1 "
+                f"C{colours} XCOLORRANGE=FULL\n"
+            )
             self._stream.write(head.encode())
         self._stream.write(b"FRAME\n")
         self._stream.write(_planes(picture).tobytes())

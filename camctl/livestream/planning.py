@@ -14,8 +14,15 @@ from camctl.exposure.goal import DEFAULT_COUNT, XI, CaptureRequest
 from camctl.exposure.light import Light
 from camctl.exposure.search.best import Search
 from camctl.exposure.search.settings import at_most
+from camctl.exposure.search.wall_time import predicted_wall_s
 from camctl.interface.camera import Camera, Frame
-from camctl.interface.controls import Choices, Control, ExposureControls, Steps
+from camctl.interface.controls import (
+    Choices,
+    Control,
+    ExposureControls,
+    ExposureSetting,
+    Steps,
+)
 from camctl.model.noise import NoiseModel
 from camctl.records.capture_plan import CapturePlan
 
@@ -103,6 +110,12 @@ class LivePlanner:
             for each in plan.findings
         )
         return replace(plan, findings=findings)
+
+
+def result_rate(controls: ExposureControls, settings: Sequence[ExposureSetting]) -> float:
+    """Return the results a second of a cycle: those of a round, over the time that it takes."""
+    once, twice = (predicted_wall_s(controls, (*settings,) * rounds) for rounds in (1, 2))
+    return len(settings) / (twice - once)
 
 
 def _up_to(times: Control, longest_s: float) -> Control:

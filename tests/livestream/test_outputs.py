@@ -92,12 +92,26 @@ def test_raw_samples_are_the_desired_response() -> None:
 def test_a_pipe_has_y4m(sensor: str, samples: int) -> None:
     out = io.BytesIO()
     with stream(sensor) as live:
-        output = Y4mOutput(out, Display(), 12.5)
+        output = Y4mOutput(out, Display(), live)
         for _ in range(3):
             output.write(next(live))
     head, _, rest = out.getvalue().partition(b"\n")
-    assert head.split()[:4] == [b"YUV4MPEG2", b"W64", b"H48", b"F12500:1000"]
+    assert head.split()[:4] == [b"YUV4MPEG2", b"W64", b"H48", b"F30:1"]
     assert len(rest) == 3 * (len(b"FRAME\n") + 48 * 64 * samples)
+
+
+@pytest.mark.parametrize("base_s", [0.0005, 0.002, 0.004, 0.006])
+@pytest.mark.parametrize("sensor", ["standard", "phone"])
+def test_the_rate_of_a_pipe_is_that_of_the_stream(sensor: str, base_s: float) -> None:
+    """Frames take a frame interval, or their exposure, which is up to 96 ms here."""
+    options = {"scene": "ramp", "size": "64x48", "sensor": sensor}
+    request, out = CaptureRequest(base_s=base_s, ratios=(1, 4, 16), dynamic_range=256), io.BytesIO()
+    with camctl.open_camera("sim", options) as camera, camctl.live(camera, request) as live:
+        results = [next(live) for _ in range(31)]  # ten rounds
+        Y4mOutput(out, Display(), live).write(results[-1])
+    taken = results[-1].time_s - results[0].time_s
+    above, below = out.getvalue().split()[3][1:].split(b":")
+    assert int(above) / int(below) == pytest.approx(30 / taken, rel=1e-6)
 
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="apt-get install ffmpeg")
@@ -106,7 +120,7 @@ def test_ffmpeg_reads_the_pipe(sensor: str) -> None:
     out = io.BytesIO()
     with stream(sensor) as live:
         display = Display()
-        output = Y4mOutput(out, display, 10)
+        output = Y4mOutput(out, display, live)
         pictures = [np.array(display.picture(one)) for one in (next(live), next(live))]
         output.write(next(live))
     format_ = "gray" if sensor == "standard" else "rgb24"
@@ -380,7 +394,7 @@ def test_the_class_of_opencv(bits: int, dtype: type) -> None:
     assert np.array_equal(picture[..., 0] >> (bits - 8), capture.result.image[..., 2] >> 8)
     assert capture.get(cv2.CAP_PROP_FRAME_WIDTH) == 64
     assert capture.get(cv2.CAP_PROP_FRAME_HEIGHT) == 48
-    assert capture.get(cv2.CAP_PROP_FPS) == 10
+    assert capture.get(cv2.CAP_PROP_FPS) == pytest.approx(30)
     assert capture.set(cv2.CAP_PROP_FRAME_WIDTH, 64)
     assert not capture.set(cv2.CAP_PROP_FRAME_WIDTH, 640)
     capture.release()
