@@ -26,11 +26,13 @@ _POS_MSEC, _WIDTH, _HEIGHT, _FPS, _POS_FRAMES, _FORMAT, _CONVERT_RGB = 0, 3, 4, 
 class VideoCapture:
     """Pictures in the desired response, with the methods of ``cv2.VideoCapture``.
 
-    `read` gives BGR, or one channel of a camera without colours, as OpenCV does.  Where OpenCV
-    returns False this class does, too; `error` says why.
+    `read` gives BGR, of a camera without colours after ``set(CAP_PROP_CONVERT_RGB, 0)`` one
+    channel, as OpenCV does.  Unlike OpenCV's, the property cannot be changed of a camera with
+    colours, no other one can be set, and samples may have 16 bits.  Where OpenCV returns False this
+    class does, too; `error` says why.
 
     Args:
-        camera_id: see `camctl.open_camera`
+        camera_id: see `camctl.open_camera`; a number, as of OpenCV, opens no camera
         request: what the pictures are to be
         fps: results a second at least
         bits: of a sample, 8 or 16
@@ -44,13 +46,13 @@ class VideoCapture:
     >>> capture = VideoCapture("sim", options={"size": "64x48"})
     >>> ok, picture = capture.read()
     >>> ok, picture.shape, picture.dtype
-    (True, (48, 64), dtype('uint8'))
+    (True, (48, 64, 3), dtype('uint8'))
     >>> capture.release()
     """
 
     def __init__(
         self,
-        camera_id: str = "sim",
+        camera_id: str | int = "sim",
         request: CaptureRequest | None = None,
         *,
         fps: float | None = None,
@@ -65,8 +67,13 @@ class VideoCapture:
         self.result: LiveResult | None = None
         self._resources = ExitStack()
         self._live: Live | None = None
-        self._fps = fps
+        self._is_converted = True
         try:
+            if not isinstance(camera_id, str):
+                raise UsageError(
+                    f"a camera has no number here, such as {camera_id}",
+                    hint="name one that camctl cameras lists, such as v4l2:/dev/video0",
+                )
             camera = self._resources.enter_context(open_camera(camera_id, options))
             self._live = self._resources.enter_context(live(camera, request, fps=fps, reuse=True))
             self._shape = camera.controls.shape
@@ -80,10 +87,13 @@ class VideoCapture:
 
     def grab(self) -> bool:
         """Wait for the next result; return whether there is one."""
-        if self._live is None:
+        live = self._live
+        if live is None:
             return False
         try:
-            self.result = next(self._live)
+            self.result = next(live)
+        except StopIteration:  # another thread has released the camera
+            return False
         except CamctlError as error:
             self.error = error
             return False
@@ -92,7 +102,7 @@ class VideoCapture:
     def retrieve(self) -> tuple[bool, NDArray[Any] | None]:
         """Return the picture of the result that was grabbed last."""
         result = self.result
-        if result is None:
+        if result is None or self._live is None:
             return False, None
         if self._bits == 8:
             picture: NDArray[Any] = self._display.picture(result)
@@ -102,7 +112,9 @@ class VideoCapture:
             picture = result.image
         if picture.ndim == 3:
             picture = picture[..., ::-1]
-        return True, np.array(picture)
+        elif self._is_converted:
+            picture = np.broadcast_to(picture[..., None], (*picture.shape, 3))
+        return True, np.array(picture, order="C")
 
     def read(self) -> tuple[bool, NDArray[Any] | None]:
         """Wait for the next result and return its picture; (False, None) at the end."""
@@ -114,20 +126,25 @@ class VideoCapture:
         if live is None:
             return 0.0
         half = 2 if live.controls.layout.is_mosaic else 1
+        has_colours = self._is_converted or live.controls.layout is not Layout.MONO
         values = {
             _WIDTH: self._shape[1] // half,
             _HEIGHT: self._shape[0] // half,
             _FPS: 0.0 if live.plan is None else result_rate(live.controls, live.plan.settings),
             _POS_MSEC: 0.0 if result is None else 1000 * result.time_s,
             _POS_FRAMES: 0 if result is None else result.number,
-            _FORMAT: (0 if self._bits == 8 else 2) + 8 * 2 * (live.controls.layout != Layout.MONO),
-            _CONVERT_RGB: 1,
+            _FORMAT: (0 if self._bits == 8 else 2) + 8 * 2 * has_colours,
+            _CONVERT_RGB: self._is_converted,
         }
         return float(values.get(property_id, 0.0))
 
     def set(self, property_id: int, value: float) -> bool:
-        """Return whether a property has this value: size, rate and format are set when opening."""
-        return self._live is not None and self.get(property_id) == value
+        """Set CAP_PROP_CONVERT_RGB; return False for all that is set when opening."""
+        live = self._live
+        if live is None or property_id != _CONVERT_RGB or live.controls.layout is not Layout.MONO:
+            return False
+        self._is_converted = value != 0
+        return True
 
     def release(self) -> None:
         """Close the camera; a second call does nothing."""

@@ -395,12 +395,66 @@ def test_the_class_of_opencv(bits: int, dtype: type) -> None:
     assert capture.get(cv2.CAP_PROP_FRAME_WIDTH) == 64
     assert capture.get(cv2.CAP_PROP_FRAME_HEIGHT) == 48
     assert capture.get(cv2.CAP_PROP_FPS) == pytest.approx(30)
-    assert capture.set(cv2.CAP_PROP_FRAME_WIDTH, 64)
-    assert not capture.set(cv2.CAP_PROP_FRAME_WIDTH, 640)
+    for number, value in (
+        (cv2.CAP_PROP_FRAME_WIDTH, 64),
+        (cv2.CAP_PROP_FRAME_WIDTH, 640),
+        (cv2.CAP_PROP_GAIN, 0),
+        (cv2.CAP_PROP_CONVERT_RGB, 0),
+    ):
+        assert not capture.set(number, value)
+    assert capture.get(cv2.CAP_PROP_FORMAT) == (16 if bits == 8 else 18)  # of OpenCV 4
     capture.release()
     capture.release()
     assert capture.read() == (False, None)
+    assert capture.retrieve() == (False, None)
     assert not capture.isOpened()
+
+
+def test_a_camera_without_colours_has_three_channels_unless_asked_otherwise() -> None:
+    import cv2
+
+    capture = camctl.VideoCapture("sim", GIVEN, options={"scene": "ramp", "size": "64x48"})
+    found, picture = capture.read()
+    assert found
+    assert picture is not None
+    assert picture.shape == (48, 64, 3)
+    assert cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).tolist() == picture[..., 0].tolist()
+    assert capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
+    assert capture.get(cv2.CAP_PROP_FORMAT) == cv2.CV_8U
+    grey = capture.retrieve()[1]
+    assert grey is not None
+    assert np.array_equal(grey, picture[..., 0])
+    capture.release()
+
+
+@pytest.mark.parametrize("camera_id", [0, 7])
+def test_a_number_opens_no_camera(camera_id: int) -> None:
+    capture = camctl.VideoCapture(camera_id)
+    assert not capture.isOpened()
+    assert isinstance(capture.error, UsageError)
+    assert capture.read() == (False, None)
+
+
+def test_a_read_ends_where_another_thread_releases_the_camera() -> None:
+    options = {"scene": "ramp", "size": "64x48", "time": "real"}
+    capture = camctl.VideoCapture("sim", GIVEN, options=options)
+    assert capture.read()[0]
+    ends: list[Any] = []
+
+    def read() -> None:
+        try:
+            while capture.read()[0]:
+                pass
+            ends.append(capture.read())
+        except BaseException as error:
+            ends.append(error)
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    time.sleep(0.1)
+    capture.release()
+    reader.join(20)
+    assert ends == [(False, None)]
 
 
 def test_a_camera_that_cannot_be_opened_is_not_open() -> None:
