@@ -8,7 +8,8 @@ mask and a picture of 960 x 540 as JPEG; and from a camera of 30 frames a second
 added latency (at most a frame interval + 15 ms).  stages: where the time goes.  sum: S += new - old
 alone, by numpy and compiled (extra `fast`), against a copy (memcpy) that moves as many bytes.
 truth: 10^6 frames of a stream that loses frames, sets exposures late and exchanges lists; each sum
-is compared with that of the frames' true exposures.  memory: of 10^5 results.
+is compared with that of the frames' true exposures, and the marks of older slots with the true
+slots: a wrong sum, or an older slot without a mark, is an error.  memory: of 10^5 results.
 """
 
 from __future__ import annotations
@@ -265,7 +266,7 @@ def truth(frames: int = 1_000_000) -> None:
         response_origin=ResponseOrigin.STATED,
     )
     settings = [ExposureSetting(float(time_s)) for time_s in (3, 17, 40, 71, 120)]
-    wrong = results = stale = exchanged = 0
+    wrong = results = stale = exchanged = unmarked = needless = 0
     received = 0
     while received < frames:
         stream = CycleStream(
@@ -278,7 +279,7 @@ def truth(frames: int = 1_000_000) -> None:
         cycle = ExposureCycle(stream, known, None, lists[0])
         window = Window(controls)
         shots = cycle.shots()
-        while stream.received < 50_000:
+        while stream.received < min(50_000, frames):
             if random.random() < 0.002:
                 chosen = random.sample(settings, random.randint(1, 5))
                 lists[cycle.exchange(chosen)] = chosen
@@ -286,24 +287,32 @@ def truth(frames: int = 1_000_000) -> None:
             shot, requested = next(shots)
             place = shot.place
             assert place is not None
-            true = shot.data[1]  # which the driver does not know
+            slot, true = shot.data  # which the driver does not know
             pixels = np.full((1, 1), int(true.time_s), np.uint8)
             frame = Frame(
-                pixels, requested, shot.applied, shot.time_s, shot.index, 0, 255, place=place
+                pixels, requested, shot.applied, float(slot), shot.index, 0, 255, place=place
             )
             window.add(frame, len(lists[place.plan]))
             if not window.is_complete:
                 continue
             results += 1
             states = window.states(controls)
-            stale += any(each.is_old for each in states)
+            held = window.frames
+            is_older = [slot - each.timestamp_s >= len(held) for each in held]
+            marks = [each.is_old for each in states]
+            stale += any(is_older)
+            unmarked += any(old > mark for old, mark in zip(is_older, marks, strict=True))
+            needless += any(old < mark for old, mark in zip(is_older, marks, strict=True))
             stated = sum(int(each.setting.time_s) for each in states)
             wrong += int(window.total[0, 0]) != stated
         received += stream.received
     print(
         f"{received} frames, {results} results, {exchanged} lists exchanged, {stale} results with "
-        f"an older slot, all of them marked: {wrong} wrong sums"
+        f"an older slot, of which {stale - unmarked} are marked and {unmarked} not; {needless} "
+        f"with a mark too many, after numbers that were wrong; {wrong} wrong sums"
     )
+    if unmarked or wrong:
+        sys.exit("some results do not state what they are")
 
 
 def memory(results: int = 100_000) -> None:
