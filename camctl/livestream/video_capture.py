@@ -72,7 +72,7 @@ class VideoCapture:
             if not isinstance(camera_id, str):
                 raise UsageError(
                     f"a camera has no number here, such as {camera_id}",
-                    hint="name one that camctl cameras lists, such as v4l2:/dev/video0",
+                    hint="name one by its identifier, such as v4l2:/dev/video0",
                 )
             camera = self._resources.enter_context(open_camera(camera_id, options))
             self._live = self._resources.enter_context(live(camera, request, fps=fps, reuse=True))
