@@ -242,9 +242,10 @@ class MenuMachine(RuleBasedStateMachine):
             assert model.summary is not None
         running = [each for each in self.worker.running if each.work in CAPTURES]
         if running:
-            busy = (State.SHOOTING, State.RESUMING, State.CANCELLING, State.STOPPING, State.QUIT)
+            shows = {State.SHOOTING, State.RESUMING, State.SERIES_SHOOTING}
+            busy = {*shows, State.CANCELLING, State.STOPPING, State.QUIT}
             assert self.state in busy, "a capture runs behind a screen that does not show it"
-        if self.state in (State.SHOOTING, State.RESUMING):
+        if self.state in (State.SHOOTING, State.RESUMING, State.SERIES_SHOOTING):
             assert running, "the screen shows a capture that does not run"
 
     @invariant()
