@@ -43,9 +43,6 @@ CASES = [
 SAME_TIME = 1e-8
 """Relative difference up to which two times are the same."""
 
-RESTARTS = 4
-"""Starts among which the first half of the time is divided; the best goes on for the rest."""
-
 
 class Adversary:
     """A random search for sets within a time that have more levels than another set."""
@@ -144,10 +141,13 @@ class Adversary:
         return levels, best
 
     def best(self, own: list[ExposureSetting], seconds: float) -> tuple[float, int]:
-        """Return the most levels found and the number of frames that have them."""
+        """Return the most levels found and the number of frames that have them.
+
+        The first half of the time is divided among the starts; the best goes on for the rest.
+        """
         n = len(own)
         starts = [own, *(self.start(k) for k in (max(2, n - 2), n, min(MAX_EXPOSURES, n + 3)))]
-        found = [self.climbed(each, seconds / 2 / RESTARTS) for each in starts[:RESTARTS]]
+        found = [self.climbed(each, seconds / 2 / len(starts)) for each in starts]
         levels, best = max(found, key=lambda each: each[0])
         levels, best = max((levels, best), self.climbed(best, seconds / 2), key=lambda e: e[0])
         return levels, len(best)

@@ -148,9 +148,8 @@ class DesignSearch(TunedSets):
 
     def _added(self, design: Design, weight: float) -> Design:
         """Return a set with the best frame added, and each frame then exchanged."""
-        mse = self.frames.mse(design.parts.sum(axis=1)[:, np.newaxis] + self.parts)
-        option = int(self.merits(mse, design.time + self.cost, weight).argmin())
-        return self.exchanged(self.changed(design, [option], []), weight, sizes=False)
+        (larger,) = self._larger(design, math.inf, (weight,))
+        return self.exchanged(larger, weight, sizes=False)
 
     def at_weight(self, weight: float) -> Design:
         """Return the set of least ln(mse) + w ln(time)."""
@@ -210,7 +209,9 @@ class DesignSearch(TunedSets):
             return [self.most_accurate]
         starts = [self.fastest(self.counts[0])]
         for start in below[-2:] + above[:2]:
-            starts += self._resized(start, limit)
+            if self.least_time(start.n) <= limit * (1 + SAME):
+                starts.append(start)
+            starts += self._smaller(start, limit) + self._larger(start, limit)
         fitted = _best_of_each(self.fitted(each, limit) for each in starts)
         tuned = [self.refitted(each, limit) for each in fitted[: None if thorough else TUNED]]
         tuned = _best_of_each(tuned)
@@ -226,18 +227,15 @@ class DesignSearch(TunedSets):
     def _resized_on(self, design: Design, limit: float) -> list[Design]:
         """Return sets with one frame more each, and with one less, down to those clearly worse."""
         found: list[Design] = []
-        for more in (True, False):
+        for resized in (self._larger, self._smaller):
             current = design
             while current.mse < design.mse * NEAR_MSE:
                 weight = self.weight_of(current)
-                trials = [
-                    self.scaled(each, limit)
-                    for each in self._resized(current, limit, (weight, CHEAPER * weight))
-                    if (each.n > current.n) == more and each.n != current.n
-                ]
+                trials = resized(current, limit, (weight, CHEAPER * weight))
                 if not trials:
                     break
-                current = min(trials, key=lambda each: each.mse)
+                scaled = (self.scaled(each, limit) for each in trials)
+                current = min(scaled, key=lambda each: each.mse)
                 if not self.is_list:  # there it would change the number
                     current = self._improved(current, limit)
                 found.append(current)
@@ -258,23 +256,26 @@ class DesignSearch(TunedSets):
             best = improved
         return best
 
-    def _resized(
+    def _smaller(
         self, design: Design, limit: float, weights: tuple[float, ...] = (1.0,)
     ) -> list[Design]:
-        """Return a set as it is, and with the best frame less and more at each weight of time."""
-        found = [design]
+        """Return a set without the frame that is worth least at each weight of time."""
+        if design.n == self.counts[0] or self.least_time(design.n - 1) > limit * (1 + SAME):
+            return []
         rest, time, has_base = self.rests(design)
-        fewer, more = self.frames.mse(rest), None
-        if design.n < self.counts[1]:
-            more = self.frames.mse(rest[:, -1, np.newaxis] + self.parts)
-        for weight in weights:
-            if design.n > self.counts[0]:
-                merit = np.where(has_base, self.merits(fewer, time, weight), np.inf)[:-1]
-                found.append(self.changed(design, [], [int(merit.argmin())]))
-            if more is not None:
-                option = int(self.merits(more, design.time + self.cost, weight).argmin())
-                found.append(self.changed(design, [option], []))
-        return [each for each in found if self.least_time(each.n) <= limit * (1 + SAME)]
+        mse = self.frames.mse(rest)
+        merits = (np.where(has_base, self.merits(mse, time, each), np.inf) for each in weights)
+        return [self.changed(design, [], [int(each[:-1].argmin())]) for each in merits]
+
+    def _larger(
+        self, design: Design, limit: float, weights: tuple[float, ...] = (1.0,)
+    ) -> list[Design]:
+        """Return a set with the frame that is worth most at each weight of time."""
+        if design.n == self.counts[1] or self.least_time(design.n + 1) > limit * (1 + SAME):
+            return []
+        mse = self.frames.mse(design.parts.sum(axis=1)[:, np.newaxis] + self.parts)
+        merits = (self.merits(mse, design.time + self.cost, each) for each in weights)
+        return [self.changed(design, [int(each.argmin())], []) for each in merits]
 
     def _paired(self, design: Design, limit: float) -> Design:
         """Return a set on a list improved by exchanges of pairs with near settings."""
