@@ -15,6 +15,7 @@
         ├── CameraNotFoundError     no such camera
         ├── CameraBusyError         another process uses it, or it is still working
         ├── CameraDisconnectedError it was disconnected while in use, or is closed
+        │   └── CameraClosedError   it was not opened, or its owner closed it
         ├── CameraTimeoutError      it sent nothing for too long
         ├── RefusedSettingError     it cannot do a setting; has the nearest one that it can do
         └── CameraProtocolError     it sent an invalid response

@@ -33,6 +33,10 @@ class Take:
     request: CaptureRequest
 
 
+class _OtherFailedError(CaptureError):
+    """A camera did not begin, since another one could not."""
+
+
 class Others:
     """The cameras beside the first one, whose plan they follow."""
 
@@ -130,7 +134,7 @@ def take_together(
                 try:
                     ready.wait()
                 except threading.BrokenBarrierError:
-                    raise CaptureError("another camera has failed") from None
+                    raise _OtherFailedError("another camera has failed") from None
             latest[index] = progress_view(progress)
             if len(latest) == len(takes):
                 on_progress(min(latest.values(), key=lambda each: each.share))
@@ -157,7 +161,7 @@ def take_together(
     done = [each for each in results if isinstance(each, Summary)]
     failed = [each for each in results if isinstance(each, CamctlError)]
     if not done:
-        raise next((each for each in failed if "another camera" not in each.what), failed[0])
+        raise next(each for each in failed if not isinstance(each, _OtherFailedError))
     notes = [
         f"{take.camera.info.name}: {result}"
         if isinstance(result, CamctlError)

@@ -275,7 +275,7 @@ def _fewest(
 ) -> Solution:
     """Return the best set of the fewest exposures whose objective is `tolerance` at most.
 
-    Of the time for full searches each takes half at most of what is left, the last one all.
+    The last search may take all the time that is left for full searches, each before it half of it.
     """
     if not (math.isfinite(tolerance) and tolerance >= 0):
         raise UsageError(f"invalid tolerance {tolerance:g}: expected a number of levels >= 0")
