@@ -107,6 +107,7 @@ CONTROLS = {
     for each in (
         *map(ControlId, ("ExposureTime", "AnalogueGain", "ExposureTimeMode", "AnalogueGainMode")),
         *map(ControlId, ("AeEnable", "AwbEnable", "NoiseReductionMode", "FrameDurationLimits")),
+        *map(ControlId, ("AfMode", "HdrMode", "AeFlickerMode")),
         *map(ControlId, ("SensorTimestamp", "SensorBlackLevels", "FrameDuration")),
         ControlId("ScalerCrop", ControlType.Rectangle),
     )
@@ -239,6 +240,9 @@ class FakeCamera:
             "AeEnable": (False, True),
             "AwbEnable": (False, True),
             "NoiseReductionMode": (0, 4),
+            "AfMode": (0, 2),
+            "HdrMode": (0, 4),
+            "AeFlickerMode": (0, 1),
             "FrameDurationLimits": (board.interval_us, 11_767_556),
             "ScalerCrop": (Rectangle(0, 0, 64, 64), Rectangle(0, 0, 3280, 2464)),
         }

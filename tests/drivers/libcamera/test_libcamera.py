@@ -123,7 +123,8 @@ def test_everything_automatic_is_off_and_the_whole_sensor_is_used(opened: Opened
     found = board.controls
     assert not found["AeEnable"]
     assert not found["AwbEnable"]
-    assert found["NoiseReductionMode"] == 0
+    for name in ("NoiseReductionMode", "AfMode", "HdrMode", "AeFlickerMode"):
+        assert found[name] == 0, name
     assert found["ScalerCrop"].to_tuple() == (0, 0, 3280, 2464)
     assert found["FrameDurationLimits"] == (board.interval_us, 11_767_556)
     assert (found["ExposureTimeMode"], found["AnalogueGainMode"]) == (1, 1)
@@ -158,6 +159,26 @@ def test_all_formats_have_the_same_samples(
     for one, other in zip(*frames, strict=True):
         assert light(one) == pytest.approx(light(other), rel=0.02)
         assert int(other.pixels.max()) < 2**bits
+
+
+@needs_picamera2
+@pytest.mark.parametrize("delay", [0, 1, 3, 6])
+@pytest.mark.parametrize("loses_a_frame", [False, True])
+def test_frames_are_their_own_whenever_settings_take_effect(
+    opened: Opened, delay: int, *, loses_a_frame: bool
+) -> None:
+    board = FakePi(delay=delay)
+    camera = opened(board)
+    board.lost = (board.frame + 9,) if loses_a_frame else ()
+    times_s, began = (0.006, 0.001, 0.003, 0.0005) * 2, board.frame
+    frames = shot(camera, *times_s)
+    for frame, time_s in zip(frames, times_s, strict=True):
+        assert frame.applied.time_s == pytest.approx(time_s, rel=0.04)
+        assert light(frame) / light(frames[0]) == pytest.approx(
+            frame.applied.time_s / frames[0].applied.time_s, rel=0.03
+        )
+    if not loses_a_frame:  # the requests that wait in the camera, and those of its delay
+        assert board.frame - began <= len(times_s) + 2 * 6 + delay
 
 
 @needs_picamera2

@@ -36,6 +36,12 @@ def test_other_formats_are_not_raw(name: str) -> None:
         # By the tables of MIPI CSI-2, RAW10 and RAW12: upper bits of each sample, then the lower.
         ("SRGGB10_CSI2P", 0, [0x80, 0x40, 0xFF, 0x00, 0b10_11_01_00], [512, 257, 1023, 2]),
         ("SRGGB12_CSI2P", 0, [0x80, 0x40, 0xA5, 0xFF, 0x00, 0x0F], [2053, 1034, 4095, 0]),
+        (
+            "SGBRG14_CSI2P",
+            0,
+            [0x80, 0x40, 0xFF, 0x00, 0b01_000011, 0b1111_0000, 0b000010_11],
+            [0x80 << 6 | 3, 0x40 << 6 | 1, 0xFF << 6 | 0x3F, 2],
+        ),
         ("SRGGB10", 0, [0x01, 0x02, 0xFF, 0x03], [513, 1023]),
         ("SRGGB16", 4, [0x50, 0x12, 0xF0, 0xFF], [0x125, 4095]),
         ("R8", 0, [7, 255], [7, 255]),
