@@ -26,9 +26,9 @@ _BOUNCE = timedelta(milliseconds=10)
 """Contacts of buttons bounce for 1.5 ms on average, at most 6 ms (Ganssle, "A Guide to
 Debouncing", 18 switches measured)."""
 
-_TURN_BOUNCE = timedelta(milliseconds=1)
-"""A third of the 3 ms that mechanical encoders (ALPS EC11, 2 ms) need between two edges when
-turned fast: longer would lose edges, and bounces that remain cancel in `_STEPS`."""
+_MOST_EVENTS = 1024
+"""Edges that the kernel keeps until they are read: the most that it does (16 of each of 64 lines,
+include/uapi/linux/gpio.h)."""
 
 _HELD_S, _REPEAT_S = 0.5, 0.15
 """A key that selects repeats after so long, and then this often, s: less than what keyboards do
@@ -138,13 +138,15 @@ class GpioKeys:
             "active_low": True,
         }
         config = {each: settings(debounce_period=_BOUNCE, **common) for each in self._buttons}
-        config |= {
-            each: settings(debounce_period=_TURN_BOUNCE, **common) for each in self._contacts
-        }
+        # The kernel debounces in jiffies (4 ms where HZ is 250): a period of 1 ms takes up to 8 ms,
+        # and loses the edges of an encoder that is turned fast.  Its bounces cancel in `_STEPS`.
+        config |= {each: settings(**common) for each in self._contacts}
         try:
             with self._gpiod.Chip(self._path) as chip:
-                places = {each: chip.line_offset_from_id(each) for each in config}
-                self._request = chip.request_lines(config=config, consumer="camctl")
+                places = {each: _place(chip, each) for each in config}
+                self._request = chip.request_lines(
+                    config=config, consumer="camctl", event_buffer_size=_MOST_EVENTS
+                )
             values = [self._request.get_value(each) for each in self._contacts]
         except (OSError, ValueError) as error:
             self.problem = _problem(self._path, error)
@@ -198,6 +200,14 @@ class GpioKeys:
 
 def _line(text: str) -> int | str:
     return int(text) if text.isascii() and text.isdigit() else text
+
+
+def _place(chip: Any, line: int | str) -> int:
+    """Return the offset of a line; raise `ValueError` with its name where the chip has none."""
+    try:
+        return int(chip.line_offset_from_id(line))
+    except (FileNotFoundError, ValueError):
+        raise ValueError(f"no line {line}") from None
 
 
 def _problem(path: str, error: OSError | ValueError) -> str:

@@ -29,7 +29,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import display
-from loopback_module import loopback_module
+from guest_modules import gpio_module, loopback_module
 from machine import CannotRunError, GuestError, Kernel, prepare, run_in_guest
 
 HERE = Path(__file__).resolve().parent
@@ -80,10 +80,11 @@ def main() -> int:
     except CannotRunError as error:
         print(f"virtual hardware skipped: {error}")
         return SKIPPED if arguments.must_run else 0
-    try:
-        ENVIRONMENT["CAMCTL_LOOPBACK_MODULE"] = str(loopback_module(kernel))
-    except CannotRunError as error:
-        print(f"without v4l2loopback: {error}")
+    for module in (loopback_module, gpio_module):
+        try:
+            ENVIRONMENT[f"CAMCTL_{module.__name__.upper()}"] = str(module(kernel))
+        except CannotRunError as error:
+            print(f"without a module: {error}")
     _compile()
     if arguments.command or arguments.bench:
         guest = Guest("guest", kernel, arguments.limit, began)
