@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from collections import deque
 from collections.abc import AsyncIterator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
@@ -86,6 +87,8 @@ class Live:
         self._cycle: FrameCycle | None = None
         self._reader: threading.Thread | None = None
         self._worker: ThreadPoolExecutor | None = None
+        self._awaiting = ThreadPoolExecutor(1, thread_name_prefix="camctl-live-next")
+        self._kept: deque[Future[LiveResult | None]] = deque()  # awaited by calls that were ended
         self._job: Future[None] | None = None
         self._following = Following()
         self._contradicting = self._since_look = 0
@@ -134,6 +137,7 @@ class Live:
             self._end_cycle()
         if worker is not None:
             worker.shutdown()
+        self._awaiting.shutdown()
 
     def __enter__(self) -> Self:
         """Begin the stream; raises as `__next__` does."""
@@ -154,8 +158,8 @@ class Live:
             CaptureError: the light cannot be metered, or the camera changed its format
             CameraError: the camera failed, or was gone for longer than the patience
         """
-        result = self._next()
-        if result is None:
+        result = self._kept.popleft().result() if self._kept else self._next()
+        if result is None or self._is_closed:
             raise StopIteration
         return result
 
@@ -163,8 +167,18 @@ class Live:
         return self
 
     async def __anext__(self) -> LiveResult:
-        """Wait for the next result in a thread; raises as `__next__` does."""
-        result = await asyncio.to_thread(self._next)
+        """Wait for the next result in a thread; raises as `__next__` does.
+
+        Where the call is cancelled, the next one gets its result.
+        """
+        if self._is_closed:
+            raise StopAsyncIteration
+        waiting = self._kept.popleft() if self._kept else self._awaiting.submit(self._next)
+        try:
+            result = await asyncio.shield(asyncio.wrap_future(waiting))
+        except asyncio.CancelledError:
+            self._kept.append(waiting)
+            raise
         if result is None:
             raise StopAsyncIteration
         return result

@@ -17,10 +17,13 @@ from camctl.livestream.planning import result_rate
 from camctl.livestream.result import LiveResult
 from camctl.livestream.stream import Live, live
 from camctl.profiles.calibrated import open_camera
+from camctl.system.picture_operations import opencv
 
-#: Numbers of OpenCV's properties (videoio.hpp): CAP_PROP_POS_MSEC, FRAME_WIDTH, FRAME_HEIGHT, FPS,
-#: POS_FRAMES, FORMAT and CONVERT_RGB.
+#: Numbers of OpenCV's properties (videoio.hpp of 4 and of 5): CAP_PROP_POS_MSEC, FRAME_WIDTH,
+#: FRAME_HEIGHT, FPS, POS_FRAMES, FORMAT and CONVERT_RGB.
 _POS_MSEC, _WIDTH, _HEIGHT, _FPS, _POS_FRAMES, _FORMAT, _CONVERT_RGB = 0, 3, 4, 5, 1, 8, 16
+#: Its apiPreference that leaves the choice of the backend open: CAP_ANY.
+_ANY = 0
 
 
 class VideoCapture:
@@ -33,6 +36,8 @@ class VideoCapture:
 
     Args:
         camera_id: see `camctl.open_camera`; a number, as of OpenCV, opens no camera
+        apiPreference: CAP_ANY of OpenCV; with another one it is not opened, as the identifier says
+            by which backend
         request: what the pictures are to be
         fps: results a second at least
         bits: of a sample, 8 or 16
@@ -53,8 +58,9 @@ class VideoCapture:
     def __init__(
         self,
         camera_id: str | int = "sim",
-        request: CaptureRequest | None = None,
+        apiPreference: int = _ANY,
         *,
+        request: CaptureRequest | None = None,
         fps: float | None = None,
         bits: int = 8,
         look: bool = False,
@@ -73,6 +79,12 @@ class VideoCapture:
                 raise UsageError(
                     f"a camera has no number here, such as {camera_id}",
                     hint="name one by its identifier, such as v4l2:/dev/video0",
+                )
+            if apiPreference != _ANY:
+                raise UsageError(
+                    f"apiPreference {apiPreference!r} is not used here: expected CAP_ANY (0)",
+                    hint="leave it out, as the identifier of a camera names its backend, and give "
+                    "a request by its name, request=...",
                 )
             camera = self._resources.enter_context(open_camera(camera_id, options))
             self._live = self._resources.enter_context(live(camera, request, fps=fps, reuse=True))
@@ -133,7 +145,7 @@ class VideoCapture:
             _FPS: 0.0 if live.plan is None else result_rate(live.controls, live.plan.settings),
             _POS_MSEC: 0.0 if result is None else 1000 * result.time_s,
             _POS_FRAMES: 0 if result is None else result.number,
-            _FORMAT: (0 if self._bits == 8 else 2) + 8 * 2 * has_colours,
+            _FORMAT: _sample_type(self._bits, 3 if has_colours else 1),
             _CONVERT_RGB: self._is_converted,
         }
         return float(values.get(property_id, 0.0))
@@ -150,3 +162,14 @@ class VideoCapture:
         """Close the camera; a second call does nothing."""
         self._live = None
         self._resources.close()
+
+
+def _sample_type(bits: int, channels: int) -> int:
+    """Return OpenCV's number of a type of samples: 4 and 5 count the channels in other bits of it.
+
+    Without OpenCV it is that of 4.
+    """
+    cv2 = opencv()
+    if cv2 is not None:
+        return int(getattr(cv2, f"CV_{bits}UC{channels}"))
+    return (0 if bits == 8 else 2) + 8 * (channels - 1)

@@ -6,7 +6,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import islice
 from typing import Any
 
@@ -389,3 +389,36 @@ def test_the_stream_is_an_async_iterator() -> None:
         return found
 
     assert asyncio.run(consume()) == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("time_kind", ["virtual", "real"])
+def test_a_cancelled_wait_loses_no_result(time_kind: str) -> None:
+    """With a time-out for each, as programs wait for one thing among others."""
+    options = {"scene": "uniform", "size": "64x48", "time": time_kind, "sensor": "standard"}
+
+    async def consume() -> list[int]:
+        found: list[int] = []
+        with camctl.open_camera("sim", options) as opened:
+            live = camctl.live(opened, GIVEN, policy="all")
+            cancelled = 0
+            while len(found) < 8:
+                try:
+                    found.append((await asyncio.wait_for(anext(live), 0.003)).number)
+                except TimeoutError:
+                    cancelled += 1
+                waiting = asyncio.ensure_future(anext(live))
+                await asyncio.sleep(0)
+                waiting.cancel()
+                with suppress(asyncio.CancelledError):
+                    await waiting
+                    found.append(waiting.result().number)
+            if time_kind == "real":
+                assert cancelled
+            found.append(next(live).number)
+            live.close()
+            with pytest.raises(StopAsyncIteration):
+                await anext(live)
+        return found
+
+    found = asyncio.run(consume())
+    assert found == list(range(len(found)))

@@ -16,6 +16,7 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from unittest import mock
 
@@ -31,6 +32,7 @@ from camctl.drivers.v4l2 import abi
 from camctl.drivers.v4l2.loopback import LoopbackDevice
 from camctl.errors import UsageError
 from camctl.exposure.goal import CaptureRequest
+from camctl.livestream import video_capture
 from camctl.livestream.display import Display
 from camctl.livestream.outputs import ExrOutput, RawOutput, Y4mOutput, ycbcr
 from camctl.livestream.result import LiveResult
@@ -70,7 +72,7 @@ def test_the_mapping_for_looking_follows_slowly() -> None:
         first = next(live)
         before = display.picture(first).astype(float).mean()
         first._tables = tuple(  # ten times the light at once
-            camctl.livestream.tables.SumTable(  # type: ignore[attr-defined]
+            camctl.livestream.tables.SumTable(
                 each.E * 10, each.irradiance * 10, each.sd, each.mask, each.code, each.is_exact
             )
             for each in first._tables
@@ -383,7 +385,7 @@ def test_the_class_of_opencv(bits: int, dtype: type) -> None:
     import cv2
 
     options = {"scene": "ramp", "size": "64x48", "sensor": "webcam"}
-    capture = camctl.VideoCapture("sim", GIVEN, bits=bits, options=options)
+    capture = camctl.VideoCapture("sim", request=GIVEN, bits=bits, options=options)
     assert capture.isOpened()
     found, picture = capture.read()
     assert found
@@ -402,7 +404,7 @@ def test_the_class_of_opencv(bits: int, dtype: type) -> None:
         (cv2.CAP_PROP_CONVERT_RGB, 0),
     ):
         assert not capture.set(number, value)
-    assert capture.get(cv2.CAP_PROP_FORMAT) == (16 if bits == 8 else 18)  # of OpenCV 4
+    assert capture.get(cv2.CAP_PROP_FORMAT) == (cv2.CV_8UC3 if bits == 8 else cv2.CV_16UC3)
     capture.release()
     capture.release()
     assert capture.read() == (False, None)
@@ -413,7 +415,7 @@ def test_the_class_of_opencv(bits: int, dtype: type) -> None:
 def test_a_camera_without_colours_has_three_channels_unless_asked_otherwise() -> None:
     import cv2
 
-    capture = camctl.VideoCapture("sim", GIVEN, options={"scene": "ramp", "size": "64x48"})
+    capture = camctl.VideoCapture("sim", request=GIVEN, options={"scene": "ramp", "size": "64x48"})
     found, picture = capture.read()
     assert found
     assert picture is not None
@@ -435,9 +437,59 @@ def test_a_number_opens_no_camera(camera_id: int) -> None:
     assert capture.read() == (False, None)
 
 
+@pytest.mark.parametrize("preference", [200, -1, GIVEN])
+def test_no_backend_is_chosen_by_a_number(preference: Any) -> None:
+    capture = camctl.VideoCapture("sim", preference)
+    assert not capture.isOpened()
+    assert "expected CAP_ANY (0)" in str(capture.error)
+    assert "\n" not in str(capture.error)
+
+
+def test_the_second_argument_is_that_of_opencv() -> None:
+    import cv2
+
+    size = {"size": "64x48"}
+    for capture in (
+        camctl.VideoCapture("sim", cv2.CAP_ANY, options=size),
+        camctl.VideoCapture("sim", apiPreference=cv2.CAP_ANY, options=size),
+    ):
+        assert capture.isOpened()
+        capture.release()
+
+
+@pytest.mark.parametrize(
+    ("constants", "colours", "grey"),
+    [
+        ({"CV_8UC1": 0, "CV_8UC3": 16}, 16, 0),  # OpenCV 4
+        ({"CV_8UC1": 0, "CV_8UC3": 64}, 64, 0),  # OpenCV 5
+        (None, 16, 0),
+    ],
+)
+def test_the_numbers_of_opencv_are_those_of_its_version(
+    constants: dict[str, int] | None, colours: int, grey: int
+) -> None:
+    module = None if constants is None else SimpleNamespace(**constants)
+    capture = camctl.VideoCapture("sim", request=GIVEN, options={"size": "64x48"})
+    with mock.patch.object(video_capture, "opencv", return_value=module):
+        assert capture.get(8) == colours
+        assert capture.set(16, 0)
+        assert capture.get(8) == grey
+    capture.release()
+
+
+def test_numbers_of_properties_are_those_of_the_opencv_that_is_here() -> None:
+    import cv2
+
+    for name in ("POS_MSEC", "FRAME_WIDTH", "FRAME_HEIGHT", "FPS", "POS_FRAMES", "FORMAT"):
+        short = name.removeprefix("FRAME_")
+        assert getattr(video_capture, f"_{short}") == getattr(cv2, f"CAP_PROP_{name}")
+    assert cv2.CAP_PROP_CONVERT_RGB == video_capture._CONVERT_RGB
+    assert cv2.CAP_ANY == video_capture._ANY
+
+
 def test_a_read_ends_where_another_thread_releases_the_camera() -> None:
     options = {"scene": "ramp", "size": "64x48", "time": "real"}
-    capture = camctl.VideoCapture("sim", GIVEN, options=options)
+    capture = camctl.VideoCapture("sim", request=GIVEN, options=options)
     assert capture.read()[0]
     ends: list[Any] = []
 
