@@ -67,6 +67,23 @@ class TestPictures:
             stored = device.camera.pictures[-len(settings) :]
         assert [data_of(frame) for frame in frames] == [picture.data for picture in stored]
 
+    def test_the_first_pictures_of_an_empty_card_are_found_by_name_alone(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Register 4 may read back the 0 that selects the newest picture, whatever was taken."""
+        with virtual_coolpix() as device:
+            camera, read = device.camera, device.camera.read
+            monkeypatch.setattr(
+                camera, "read", lambda register: 0 if register == 4 else read(register)
+            )
+            with coolpix_on(device) as driver:
+                assert not camera.pictures
+                learn_format(driver)
+                frames = shoot(driver, SETTINGS * 2)
+            assert len(camera.pictures) == 1 + len(frames)  # one to learn the format, none lost
+            stored = [picture.data for picture in camera.pictures[1:]]
+        assert [data_of(frame) for frame in frames] == stored
+
     def test_tiff_samples_are_those_of_the_sensor_and_the_file_is_kept(
         self, device: SierraDevice
     ) -> None:

@@ -115,6 +115,8 @@ class TestOpening:
             ControlId.SCENE_MODE: 3,
             ControlId.IMAGE_STABILIZATION: 1,
             ControlId.HDR_SENSOR_MODE: 1,
+            ControlId.WIDE_DYNAMIC_RANGE: 1,
+            ControlId.AUTO_N_PRESET_WHITE_BALANCE: 1,
             ControlId.FOCUS_AUTO: 1,
         }
         for control, value in added.items():
