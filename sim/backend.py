@@ -38,6 +38,8 @@ class SimulatedOptions(BackendOptions):
         tolerance: see `tolerance_dn` of `SimulatedCamera`, DN
         unknown: the camera states neither response, noise, sensitivity nor control delay, like a
             webcam; a calibration measures them
+        stated: the camera states the exposure of each frame, as cameras of libcamera and of GenICam
+            do in metadata and chunks
         faults: of the hardware, for tests: `Faults`, a dict of its fields, or a text such as
             unplug@3,wrong@1=0.5
     """
@@ -49,6 +51,7 @@ class SimulatedOptions(BackendOptions):
     time: Literal["virtual", "real"] = "virtual"
     tolerance: float = Field(default=0.0, ge=0, allow_inf_nan=False)
     unknown: bool = False
+    stated: bool = False
     faults: Annotated[Faults, BeforeValidator(fault_fields)] = Faults()
 
 
@@ -81,4 +84,5 @@ class SimulatedBackend:
             faults=chosen.faults,
             tolerance_dn=chosen.tolerance,
             is_unknown=chosen.unknown,
+            states=chosen.stated,
         )

@@ -71,6 +71,7 @@ class SimulatedCamera(CameraBase):
             alone, as with `camctl.sim.devices.common.VirtualSensor`
         is_unknown: the camera states neither response, noise nor sensitivity, and its control delay
             is taken from its profile
+        states: frames state their exposures, see `camctl.streaming.FrameStamp.applied`
 
     Attributes:
         scene, sensor, is_unknown: as given
@@ -93,6 +94,7 @@ class SimulatedCamera(CameraBase):
         tolerance_dn: float = 0.0,
         repeat_noise: bool = False,
         is_unknown: bool = False,
+        states: bool = False,
     ) -> None:
         super().__init__("the simulated camera", clock if clock is not None else VirtualClock())
         self.scene = scene
@@ -135,6 +137,7 @@ class SimulatedCamera(CameraBase):
         self._has_rendered = False
         self._seed = seed
         self._repeat_noise = repeat_noise
+        self._states = states
         self._tolerance_share = 1.0
         self._plan: FramePlan | None = None
         self._exposure: RenderedShot | None = None
@@ -212,7 +215,9 @@ class SimulatedCamera(CameraBase):
             late_frames=self._faults.late_frames,
             seed=self._seed,
         )
-        self._device_frames = _DeviceFrames(self.device, self._clock_offset_s)
+        # None: nothing is stated
+        late = self._faults.stated_late if self._states else None
+        self._device_frames = _DeviceFrames(self.device, self._clock_offset_s, late)
         self._stream = ExposurePipeline(self._device_frames, self._delay, self._brightness)
 
     def _close(self) -> None:
@@ -339,6 +344,7 @@ class _DeviceFrames:
     Args:
         device: the hardware
         clock_offset_s: returns by how much the device's clock is wrong
+        stated_late: frames by which the exposure that it states is too late; None: it states none
 
     Attributes:
         before_frame: called before each frame is taken
@@ -348,8 +354,12 @@ class _DeviceFrames:
         self,
         device: SimulatedDevice,
         clock_offset_s: Callable[[], float],
+        stated_late: int | None,
     ) -> None:
         self._device = device
+        self._stated: deque[ExposureSetting] | None = None
+        if stated_late is not None:
+            self._stated = deque(maxlen=stated_late + 1)
         self.before_frame: Callable[[], None] = lambda: None
         self._clock_offset_s = clock_offset_s
         self._buffer: Buffer | None = None
@@ -363,7 +373,10 @@ class _DeviceFrames:
                 hint="unplug it, plug it in again and resume",
             )
         stamp_s = self._buffer.timestamp_s + self._clock_offset_s()
-        return FrameStamp(self._buffer.sequence, stamp_s)
+        if self._stated is None:
+            return FrameStamp(self._buffer.sequence, stamp_s)
+        self._stated.append(self._buffer.exposed)
+        return FrameStamp(self._buffer.sequence, stamp_s, applied=self._stated[0])
 
     def read(self) -> Buffer | None:
         return self._buffer

@@ -22,6 +22,7 @@ class Faults:
         wrong_exposure: frame number to the factor by which its exposure differs from `applied`
         late_frames: frames by which a new exposure takes effect later than the control delay that
             the camera states, as after a change of firmware
+        stated_late: the exposure that the camera states of a frame is that of so many frames before
         shutter_offset_s: every exposure is longer than stated by this time, s
         dropped_frames: before these frames the stream loses one, and its number is missing
         repeated_frames: these frames have the pixels of the frame before
@@ -41,6 +42,7 @@ class Faults:
     busy_calls: int = 0
     wrong_exposure: Mapping[int, float] = field(default_factory=dict)
     late_frames: int = 0
+    stated_late: int = 0
     shutter_offset_s: float = 0.0
     dropped_frames: Sequence[int] = ()
     repeated_frames: Sequence[int] = ()
@@ -96,6 +98,7 @@ _BY_FRAME = {"wrong": "wrong_exposure", "late": "delayed_frames", "jump": "clock
 _EVERYWHERE: dict[str, tuple[str, type[int] | type[float]]] = {
     "busy": ("busy_calls", int),
     "delay": ("late_frames", int),
+    "stated": ("stated_late", int),
     "longer": ("shutter_offset_s", float),
     "clamp": ("longest_exposure_s", float),
 }

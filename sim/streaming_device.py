@@ -1,7 +1,7 @@
 """The hardware of a streaming camera: slots, a late control register, and a short queue of frames.
 
-The device has no list of exposures and does not report which exposure a frame had: to know that is
-the task of the driver (`camctl.sim.camera`).  Like a V4L2 camera it
+The device has no list of exposures, and whether it states which exposure a frame had is up to its
+driver (`camctl.sim.camera`).  Like a V4L2 camera it
 
 - streams one frame slot after another, each as long as the frame interval or the exposure,
   whichever is longer; exposures end with their slot;
@@ -36,11 +36,12 @@ class Buffer:
     Attributes:
         sequence: number of the slot since the stream began
         timestamp_s: when its exposure ended
+        exposed: its exposure, which few cameras state
     """
 
     sequence: int
     timestamp_s: float
-    _exposed: ExposureSetting
+    exposed: ExposureSetting
     _before: ExposureSetting
 
 
@@ -165,7 +166,7 @@ class SimulatedDevice:
     def read_out(self, buffer: Buffer, *, light: float = 1.0) -> Pixels:
         """Return the pixels of a frame; the fault `light` multiplies its exposure."""
         self._check_plug()
-        setting = buffer._exposed
+        setting = buffer.exposed
         start_s = buffer.timestamp_s - setting.time_s - self._began_s
         return self._render(
             Slot(

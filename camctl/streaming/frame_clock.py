@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from statistics import median
 from typing import Generic, Protocol, TypeVar
@@ -256,6 +257,7 @@ class TimestampedStream(Generic[DataT]):
         clock: on which its timestamps are
         interval_s: time from frame to frame as announced, s
         sequence: the driver's number of the frame grabbed last, where the stream has such numbers
+        stated: the exposure that the camera states of a frame, see `FrameStamp.applied`
 
     Attributes:
         frame_clock: numbers the frames
@@ -268,8 +270,10 @@ class TimestampedStream(Generic[DataT]):
         clock: Clock,
         interval_s: float,
         sequence: Callable[[], int | None] = lambda: None,
+        stated: Callable[[DataT], ExposureSetting | None] | None = None,
     ) -> None:
         self._source = source
+        self._stated = stated
         self._sequence = sequence
         self._clock = clock
         self.frame_clock = FrameClock(interval_s)
@@ -305,7 +309,11 @@ class TimestampedStream(Generic[DataT]):
 
     def next_frame(self) -> FrameStamp:
         """Wait for the next frame and number it."""
-        return self.frame_clock.add(self._source.grab(), self._sequence())
+        stamp = self.frame_clock.add(self._source.grab(), self._sequence())
+        frame = None if self._stated is None else self._source.retrieve()
+        if self._stated is None or frame is None:
+            return stamp
+        return replace(stamp, applied=self._stated(frame))
 
     def read(self) -> DataT | None:
         """Return the frame that arrived last; None where it is damaged."""

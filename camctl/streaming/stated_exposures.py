@@ -69,20 +69,25 @@ class StatedExposures(Generic[DataT]):
         frames = self._frames.setdefault(exposure, [])
         frames.append(brightness)
         complete = [each for each in self._frames.values() if len(each) >= _FRAMES]
-        if len(complete) < len(self._frames) or len(complete) < 2:
-            return
-        self.are_believed = self._agrees()
-        self._frames.clear()
+        # An exposure before the list occurs a few times, and never again.
+        is_over = len(complete) == len(self._frames) or len(frames) > 2 * _FRAMES
+        if len(complete) >= 2 and is_over:
+            self.are_believed = self._agrees()
+            self._frames.clear()
 
     def _agrees(self) -> bool:
-        """Return whether equal exposures are equally bright, and longer ones brighter."""
-        before = -1.0
+        """Return whether equal exposures are equally bright, and longer ones brighter.
+
+        Saturated ones need not be brighter; at least one has to be.
+        """
+        before, is_shown = -1.0, False
         for _, shown in sorted(self._frames.items()):
             low, high = min(shown), max(shown)
             if not same_brightness(low, high):
                 return False
-            is_brighter = low > before and not same_brightness(before, low)
-            if not is_brighter and before < _FULL:
+            is_same = same_brightness(before, low)
+            if (is_same and before < _FULL) or (low < before and not is_same):
                 return False
+            is_shown |= before >= 0 and not is_same
             before = high
-        return True
+        return is_shown

@@ -241,7 +241,11 @@ class GenicamCamera(StreamCamera[Received]):
             self._device, self._name, self._exposure, self._clock, self._silence_s
         )
         self._stream = TimestampedStream[Received](
-            frames, self._clock, self._announced_s, sequence=lambda: frames.sequence
+            frames,
+            self._clock,
+            self._announced_s,
+            sequence=lambda: frames.sequence,
+            stated=lambda frame: self._statement(frame.chunks),
         )
         self._stream.start()
         self._pipeline = ExposurePipeline(self._stream, delay, self._brightness, self._proves)
@@ -361,7 +365,12 @@ class GenicamCamera(StreamCamera[Received]):
         self._is_shooting = True
         try:
             return UploadedCycle(
-                self._sequence(), checked, self._check_uploadable, self._cycled, self._end_uploaded
+                self._sequence(),
+                checked,
+                self._check_open,
+                self._check_uploadable,
+                self._cycled,
+                self._end_uploaded,
             )
         except BaseException:
             self._end_cycle()
@@ -376,7 +385,8 @@ class GenicamCamera(StreamCamera[Received]):
 
     def _end_uploaded(self) -> None:
         self._end_cycle()
-        self._resume()
+        if self._is_open:
+            self._resume()
 
     def _check_uploadable(self, settings: Sequence[ExposureSetting]) -> None:
         for setting in settings:

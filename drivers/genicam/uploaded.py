@@ -12,7 +12,7 @@ from camctl.drivers.genicam.controls import ExposureControl
 from camctl.drivers.genicam.evidence import Scale, first_in_order
 from camctl.drivers.genicam.port import OpenDevice, Received
 from camctl.drivers.genicam.slots import numbers_apart, silent, wait_for_frame
-from camctl.errors import CameraError, CameraProtocolError
+from camctl.errors import CameraClosedError, CameraError, CameraProtocolError
 from camctl.interface.camera import CyclePlace, Frame, Pixels
 from camctl.interface.clock import Clock
 from camctl.interface.controls import ExposureSetting
@@ -128,6 +128,7 @@ class UploadedCycle:
     Args:
         sequence: of the camera
         settings: the list
+        check_open: raises where the camera is no longer open
         check: raises where the camera cannot take a list
         frame: makes a frame of what arrived: with its setting, its index and its place
         ended: called once, at the end
@@ -139,11 +140,13 @@ class UploadedCycle:
         self,
         sequence: UploadedSequence,
         settings: Sequence[ExposureSetting],
+        check_open: Callable[[], None],
         check: Callable[[Sequence[ExposureSetting]], None],
         frame: Callable[[Received, ExposureSetting, int, CyclePlace], Frame],
         ended: Callable[[], None],
     ) -> None:
-        self._sequence, self._check, self._frame, self._ended = sequence, check, frame, ended
+        self._sequence, self._frame, self._ended = sequence, frame, ended
+        self._check_open, self._check = check_open, check
         self._settings = tuple(settings)
         self._waiting: tuple[ExposureSetting, ...] | None = None
         self._plan = self._last_plan = 0
@@ -159,6 +162,7 @@ class UploadedCycle:
     def __next__(self) -> Frame:
         if not self._is_open:
             raise StopIteration
+        self._check_open()
         is_at_end = (self._number + 1 - self._base) % len(self._settings) == 0
         if self._number >= self._base and is_at_end:
             self._exchange_now()
@@ -182,7 +186,9 @@ class UploadedCycle:
         if self._is_open:
             self._is_open = False
             try:
-                self._sequence.stop()
+                with suppress(CameraClosedError):  # its owner has left the sequencer
+                    self._check_open()
+                    self._sequence.stop()
             finally:
                 self._ended()
 

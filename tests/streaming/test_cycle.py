@@ -100,6 +100,60 @@ def test_stated_exposures_of_the_frame_before_are_not_used() -> None:
     assert all(shot.data[1] == [A, B, C][shot.index] for shot in shots)
 
 
+@pytest.mark.parametrize("before", [1, 2, 3])
+def test_an_exposure_before_the_list_does_not_keep_the_others_from_being_used(before: int) -> None:
+    stream = CycleStream(before, states=0)
+    cycle = ExposureCycle(stream, ControlDelay.of(None), brightness, [B, C])  # it begins with A
+    list(islice(cycle.shots(), 30))
+    assert cycle.is_stated
+
+
+def test_a_darker_frame_of_a_longer_stated_exposure_is_a_contradiction() -> None:
+    """Two of three exposures saturate."""
+    stream = CycleStream(2, states=1)
+    settings = [A, ExposureSetting(20.0), ExposureSetting(40.0)]
+    cycle = ExposureCycle(stream, constant(2), brightness, settings)
+    shots = [shot for shot, _ in islice(cycle.shots(), 60)]
+    assert not cycle.is_stated
+    assert all(shot.data[1] == settings[shot.index] for shot in shots)
+
+
+def test_saturated_frames_show_nothing() -> None:
+    stream = CycleStream(-1, states=0)
+    settings = [ExposureSetting(20.0), ExposureSetting(40.0)]
+    cycle = ExposureCycle(stream, constant(-1), brightness, settings)
+    list(islice(cycle.shots(), 40))
+    assert not cycle.is_stated
+
+
+@pytest.mark.parametrize(("late", "is_used"), [(0, True), (1, False)])
+@pytest.mark.parametrize("is_unknown", [False, True])
+def test_the_simulated_camera_states_its_exposures_or_those_of_other_frames(
+    late: int, is_used: bool, is_unknown: bool
+) -> None:
+    """It applies settings a frame later than it says: what frames state is then the truth."""
+    faults = Faults(stated_late=late, late_frames=is_used)
+    scene = load_scene("ramp", (24, 32), usual=(24, 32))
+    sensor = load_sensor("webcam")
+    with SimulatedCamera(
+        scene, sensor, faults=faults, states=True, is_unknown=is_unknown
+    ) as camera:
+        settings = [ExposureSetting(camera.controls.time_s.nearest(t)) for t in (1e-3, 4e-3, 16e-3)]
+        cycle = camera.cycle(settings)
+        list(islice(cycle, 24))
+        before = camera.device.upcoming
+        frames = list(islice(cycle, 30))
+        taken = camera.device.upcoming - before
+        cycle.close()
+    assert cycle._cycle.is_stated == is_used
+    if is_used or not is_unknown:
+        assert taken <= 31
+    means = [[f.pixels.mean() for f in frames if f.applied == each] for each in settings]
+    assert all(means)
+    assert max(means[0]) < min(means[1])
+    assert max(means[1]) < min(means[2])
+
+
 def simulated(faults: Faults) -> SimulatedCamera:
     scene = load_scene("ramp", (24, 32), usual=(24, 32))
     return SimulatedCamera(scene, load_sensor("webcam"), faults=faults)

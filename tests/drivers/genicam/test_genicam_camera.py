@@ -14,6 +14,7 @@ from camctl.drivers.genicam import GenicamCamera, GenicamOptions
 from camctl.drivers.genicam.port import Library
 from camctl.errors import (
     CameraBusyError,
+    CameraClosedError,
     CameraDisconnectedError,
     CameraError,
     CameraTimeoutError,
@@ -258,6 +259,35 @@ def test_camera_repeats_an_uploaded_cycle(aravis: Library) -> None:
             camera.cycle([])
         (again,) = shot(camera, first[:1])
         assert again.applied == first[0]
+
+
+def test_a_camera_that_its_owner_closed_ends_its_uploaded_cycle(aravis: Library) -> None:
+    with virtual_camera(fps=100) as device, opened(device, aravis, sequencer="on") as camera:
+        cycle = camera.cycle(settings(camera, *TIMES_S))
+        next(cycle)
+        camera.close()
+        with pytest.raises(CameraClosedError):
+            next(cycle)
+        cycle.close()
+        (frame,) = shot(camera.open(), settings(camera, 0.004))
+        assert frame.applied.time_s == pytest.approx(0.004)
+
+
+@pytest.mark.parametrize(("chunk_delay", "is_used"), [(0, True), (1, False)])
+@pytest.mark.parametrize("trigger", WAYS)
+def test_a_cycle_uses_what_frames_state_once_the_pixels_agree(
+    aravis: Library, trigger: str, chunk_delay: int, is_used: bool
+) -> None:
+    with (
+        virtual_camera(delay=1, chunk_delay=chunk_delay) as device,
+        opened(device, aravis, trigger=trigger, fps="15") as camera,
+    ):
+        cycle = camera.cycle(settings(camera, *TIMES_S))
+        frames = [next(cycle) for _ in range(40)]
+        true_s = [exposed(device, frame.details["frame_id"]) for frame in frames]
+        cycle.close()
+    assert [frame.applied.time_s for frame in frames] == pytest.approx(true_s, rel=1e-6)
+    assert cycle._cycle.is_stated == is_used  # type: ignore[attr-defined]
 
 
 def test_uploaded_cycle_whose_begin_is_not_seen_is_refused(aravis: Library) -> None:
