@@ -27,11 +27,13 @@ class CameraColour:
         white_balance: factors of R, G and B in neutral light, that of green is 1
         xyz_to_camera: rows of the matrix from CIE XYZ to R, G and B in the light of D65, as the tag
             ColorMatrix of DNG has it; none: the frames are no raw ones
+        encoding: linear light of evenly spaced codes from 0 to 1 of developed frames; none: as sRGB
     """
 
     matrix: tuple[Triple, ...]
     white_balance: Triple = (1.0, 1.0, 1.0)
     xyz_to_camera: tuple[Triple, ...] = ()
+    encoding: tuple[float, ...] = ()
 
     @classmethod
     def of_raw(cls, xyz_to_camera: Matrix, white_balance: Matrix) -> CameraColour:
@@ -61,14 +63,15 @@ class CameraColour:
         )
 
     @classmethod
-    def of_primaries(cls, rgb_to_xyz_d65: Matrix) -> CameraColour:
+    def of_primaries(cls, rgb_to_xyz_d65: Matrix, encoding: tuple[float, ...] = ()) -> CameraColour:
         """Return the colours of developed frames.
 
         Args:
             rgb_to_xyz_d65: (3, 3) from their linear R, G, B to CIE XYZ, with D65 as their white
+            encoding: of their codes
         """
         matrix = np.linalg.inv(rgb_to_xyz(BT709_PRIMARIES, D65)) @ rgb_to_xyz_d65
-        return cls(_triples(matrix / matrix.sum(axis=1, keepdims=True)))
+        return cls(_triples(matrix / matrix.sum(axis=1, keepdims=True)), encoding=encoding)
 
     @property
     def is_identity(self) -> bool:

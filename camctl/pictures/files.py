@@ -89,7 +89,7 @@ def write_picture_files(
     """
     tags, radiance = tiff_tags(details), directory / RADIANCE
     height, width = total.shape[:2]
-    reducer = LightReducer(height, width, rendering.full, curves=rendering.curves)
+    reducer = LightReducer(height, width, rendering.full, development=rendering.development)
     raw = np.empty(total.shape, np.float16) if has_raw(rendering) else None
     with (
         Threads(2) as threads,

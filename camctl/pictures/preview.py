@@ -19,7 +19,7 @@ Reproduction for Digital Images, 2002) with five changes:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -66,8 +66,6 @@ _LOG2_E = np.float32(1 / np.log(2))
 _ROWS, _CLEANED_ROWS = 64, 128
 #: Least variance of log2 of the light, less than in any picture.
 _LEAST_VARIANCE = np.float32(1e-9)
-#: Roots of light in tables of curves: a step is less than 1 of 255 in the encoding of sRGB.
-_ROOTS = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +94,6 @@ def renditions(light: Light) -> Renditions:
     surround = _surround(largest)
     around = box_means(pixel_noise, 2) if colours.shape[2] > 1 else pixel_noise
     darkest = np.float32(_UNLIT if (light.unlit < ALL).any() else 0.0)
-    developed = _developed(light.curves)
     codes: NDArray[np.uint8] = np.empty(colours.shape, np.uint8)
     linear = np.empty(colours.shape, np.float32)
 
@@ -119,44 +116,14 @@ def renditions(light: Light) -> Renditions:
             # Where a channel shows no light, the colour is not known.
             known = (1 - full) * (1 - np.sqrt(unlit[rows])) / (1 + np.square(around[rows]))
             colour = 1 + (colour - 1) * known[..., np.newaxis]
-        codes[rows] = developed(colour, shown)
+        if light.development is None:
+            codes[rows] = srgb_codes(colour * shown[..., np.newaxis])
+        else:
+            codes[rows] = light.development.codes(colour, shown)
         np.multiply(colour, bright[..., np.newaxis], out=linear[rows])
 
     _in_bands(encode, len(codes), _ROWS)
     return Renditions(codes[..., 0] if codes.shape[-1] == 1 else codes, linear)
-
-
-def _developed(
-    curves: Sequence[NDArray[np.float64]],
-) -> Callable[[Floats, Floats], NDArray[np.uint8]]:
-    """Return what makes sRGB codes of colours, the largest channel 1, and of the light of that.
-
-    Developed pictures have the colours that the curve of the camera made of the light, channel by
-    channel, which are not those of the light itself: `curves` make the same of it again, in the
-    exposure in which the largest channel is as bright as it is shown.  Below black all is grey.
-    """
-    if not curves:
-        return lambda colours, shown: srgb_codes(colours * shown[..., np.newaxis])
-    roots = np.linspace(0, 1, _ROOTS)
-    codes = np.linspace(0, 255, curves[0].size)
-    shown_codes = 255 * linear_to_srgb(roots**2)
-    exposure = np.interp(shown_codes, codes, np.mean(curves, axis=0))
-    root_of_light = np.sqrt(np.maximum(exposure, 0)).astype(np.float32)
-    tables = [np.rint(np.interp(roots**2, each, codes)).astype(np.uint8) for each in curves]
-    darker = np.rint(np.maximum(tables[0][0] - shown_codes, 0)).astype(np.uint8)
-
-    def at(values: Floats) -> NDArray[np.intp]:
-        scaled = values * np.float32(_ROOTS - 1)
-        return np.asarray(np.minimum(np.rint(scaled), _ROOTS - 1), np.intp)
-
-    def codes_of(colours: Floats, shown: Floats) -> NDArray[np.uint8]:
-        place = at(np.sqrt(shown))
-        light, less = root_of_light.take(place), darker.take(place)
-        channels = zip(tables, channels_of(np.sqrt(colours)), strict=True)
-        found = [table.take(at(root * light)) for table, root in channels]
-        return np.stack([each - np.minimum(each, less) for each in found], axis=-1)
-
-    return codes_of
 
 
 def srgb_codes(light: NDArray[Any]) -> NDArray[np.uint8]:

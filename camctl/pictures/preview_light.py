@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.pictures.development import Development
 from camctl.pictures.render import DARK, SATURATED, Strip
 from camctl.system.picture_operations import reduced_by_area
 
@@ -40,8 +41,7 @@ class Light:
         dark: share of the samples that are too dark
         unlit: share of the samples without any light
         white: share of the pixels of which every channel is saturated
-        curves: light of each brightness, black included, of R, G and B, by which the camera
-            developed its pictures; empty: none did
+        development: how the camera developed its pictures; None: it did not
     """
 
     irradiance: Floats
@@ -50,7 +50,7 @@ class Light:
     dark: NDArray[np.uint8]
     unlit: NDArray[np.uint8]
     white: NDArray[np.uint8]
-    curves: tuple[NDArray[np.float64], ...] = field(default=(), kw_only=True)
+    development: Development | None = field(default=None, kw_only=True)
 
 
 class LightReducer:
@@ -61,7 +61,7 @@ class LightReducer:
         columns: of the picture
         full: least irradiance of samples that every frame saturated
         side: most pixels a side; None: `PREVIEW_SIDE`
-        curves: see `Light`
+        development: see `Light`
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class LightReducer:
         columns: int,
         full: float,
         side: int | None = None,
-        curves: tuple[NDArray[np.float64], ...] = (),
+        development: Development | None = None,
     ) -> None:
         # What is saturated was rounded to so many bits as noise allows.
         self._full = np.float32(full * (1 - _ROUNDED))
@@ -78,7 +78,7 @@ class LightReducer:
         self._shape = max(1, rows // self._step), max(1, columns // self._step)
         self._rest: tuple[NDArray[Any], ...] = ()
         self._light: Light | None = None
-        self._curves = curves
+        self._development = development
         self._done = 0
 
     def add(self, strip: Strip) -> None:
@@ -128,7 +128,7 @@ class LightReducer:
             shape = (*self._shape, channels)
             irradiance, noise = np.empty(shape, np.float32), np.empty(shape, np.float32)
             shares = (np.empty(self._shape, np.uint8) for _ in range(4))
-            self._light = Light(irradiance, noise, *shares, curves=self._curves)
+            self._light = Light(irradiance, noise, *shares, development=self._development)
         light, place = self._light, slice(self._done, self._done + rows)
         self._done += rows
         for channel in range(channels):

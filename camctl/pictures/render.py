@@ -24,6 +24,7 @@ from camctl.model.inverse import Posterior
 from camctl.model.response.desired import DesiredResponse
 from camctl.model.sensor import SensorModel
 from camctl.pictures.colour import deviation_in_bt709, in_gamut, to_bt709
+from camctl.pictures.development import Development
 from camctl.pictures.frame_light import FrameLight
 from camctl.pictures.ghosts import Ghosts
 from camctl.system.picture_operations import channels_apart, channels_together, correlated, dilated
@@ -252,13 +253,13 @@ class Rendering:
         return min(table.full for table in self.tables) / self.light.unit
 
     @property
-    def curves(self) -> tuple[NDArray[np.float64], ...]:
-        """Light of each brightness of R, G and B where the frames are developed; empty: not."""
-        is_developed = self.colour is not None and not self.colour.xyz_to_camera
-        if self.layout is not Layout.RGB or not is_developed:
-            return ()
+    def development(self) -> Development | None:
+        """How the frames were developed; None: they were not."""
+        if self.layout is not Layout.RGB or self.colour is None or self.colour.xyz_to_camera:
+            return None
         responses = [part.response for part, _ in self.light.parts]
-        return tuple(SensorModel(each, self.light.white - each.M).light for each in responses)
+        curves = [SensorModel(each, self.light.white - each.M).light for each in responses]
+        return Development(tuple(curves), self.colour)
 
     @cached_property
     def deviations_are_halves(self) -> bool:

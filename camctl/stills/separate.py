@@ -249,7 +249,10 @@ def _colour(found: Any) -> CameraColour | None:
     if any(values[name].shape != shape for name, shape in shapes.items()):
         raise ValueError
     rows = {name: tuple(map(tuple, found[name])) for name in ("matrix", "xyz_to_camera")}
-    return CameraColour(rows["matrix"], tuple(found["white_balance"]), rows["xyz_to_camera"])
+    encoding = tuple(map(float, found["encoding"]))
+    return CameraColour(
+        rows["matrix"], tuple(found["white_balance"]), rows["xyz_to_camera"], encoding
+    )
 
 
 def _end(worker: _Worker) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 import tifffile
 from bracketed_photographs import photograph, save
 from numpy.typing import NDArray
+from PIL import Image, ImageCms
 from raw_photographs import NEUTRAL, camera_rgb, mosaic, raw_file
 
 from camctl import CaptureReport, CaptureRequest, PhotographOptions, merge
@@ -131,3 +133,32 @@ def test_colours_of_a_camera_need_a_matrix() -> None:
         CameraColour.of_raw(np.zeros((3, 3)), NEUTRAL)
     with pytest.raises(ValueError, match="white balance"):
         CameraColour.of_raw(np.eye(3), np.array([0.0, 1.0, 1.0]))
+
+
+@pytest.mark.parametrize(
+    ("gamma", "expected"),
+    [(2.2, np.linspace(0, 1, 256) ** 2.2), (1.0, np.linspace(0, 1, 256)), (None, ())],
+)
+def test_the_curve_of_a_profile_is_the_encoding_of_its_codes(
+    gamma: float | None, expected: Any, tmp_path: Path
+) -> None:
+    """LittleCMS writes sRGB with a parametric curve."""
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    if gamma is not None:
+        start, size = curve_of(profile)
+        assert profile[start : start + 4] == b"para"
+        short = b"curv" + bytes(4) + struct.pack(">IH", 1, round(gamma * 256))
+        profile = profile[:start] + short.ljust(size, b"\0") + profile[start + size :]
+    file = tmp_path / "p.png"
+    Image.new("RGB", (8, 8)).save(file, icc_profile=profile)
+    colour = read_still(file.read_bytes(), file.name).colour
+    assert colour is not None
+    assert colour.is_identity
+    assert colour.encoding == pytest.approx(tuple(expected), abs=0.004)
+
+
+def curve_of(profile: bytes) -> tuple[int, int]:
+    """Return the place and size of the curve of green in a profile."""
+    entry = profile.index(b"gTRC")
+    start, size = struct.unpack_from(">II", profile, entry + 4)
+    return start, size

@@ -13,9 +13,11 @@ from picture_parts import light_of
 from sampling import some
 
 import camctl
+from camctl.interface.colour import BT709, CameraColour
 from camctl.model.response.camera import CameraResponse
 from camctl.model.sensor import SensorModel
 from camctl.pictures import preview_light
+from camctl.pictures.development import Development
 from camctl.pictures.preview import srgb_codes, tone_map
 from camctl.pictures.preview_light import ALL, Light, LightReducer
 from camctl.pictures.render import DARK, SATURATED, Strip
@@ -98,22 +100,41 @@ def test_colours_keep_their_hue_over_decades(colour: list[float], decades: float
     ratios_of(light, tone_map(light_of(light)))
 
 
-def test_developed_pictures_keep_the_colours_that_the_curve_of_the_camera_made() -> None:
-    """They are the camera's own in the exposure in which the largest channel is as bright."""
-    light = np.random.default_rng(2).uniform(0.05, 1, (6, 8, 3)).repeat(8, 0).repeat(8, 1)
+WIDER = CameraColour(
+    ((1.4, -0.4, 0.0), (0.0, 1.0, 0.0), (0.0, -0.04, 1.04)),
+    encoding=tuple(np.linspace(0, 1, 256) ** 2.2),
+)
+"""Colours as of Adobe RGB."""
+
+
+@pytest.mark.parametrize("colour", [BT709, WIDER], ids=["sRGB", "wider"])
+def test_developed_pictures_keep_the_colours_that_the_curve_of_the_camera_made(
+    colour: CameraColour,
+) -> None:
+    """They are the camera's own in the exposure in which the largest channel is as bright.
+
+    The curve is that of R, G and B in the files, which a display shows in their own colour space.
+    """
+    light = np.random.default_rng(2).uniform(0.3, 1, (6, 8, 3)).repeat(8, 0).repeat(8, 1)
+    matrix = np.array(colour.matrix)
     brightness = np.linspace(0, 1, 255)
     black, levels = 16, brightness[: 255 - 16] ** 2.2 * (0.3 + 0.7 * brightness[: 255 - 16] ** 4)
     steep = CameraResponse(levels / levels[-1], "with a shoulder")
-    shown = tone_map(replace(light_of(light), curves=(SensorModel(steep, black).light,) * 3))
+    development = Development((SensorModel(steep, black).light,) * 3, colour)
+    shown = tone_map(replace(light_of(light @ matrix.T), development=development))
     exposures = np.geomspace(0.01, 20, 4000)[:, np.newaxis, np.newaxis]
-    pictures = black + np.searchsorted(steep.levels, exposures * light[4::8, 4::8].reshape(-1, 3))
+    codes = black + np.searchsorted(steep.levels, exposures * light[4::8, 4::8].reshape(-1, 3))
+    pictures = codes
+    if colour.encoding:
+        displayed = np.array(colour.encoding)[np.minimum(codes, 255)] @ matrix.T
+        pictures = srgb_codes(displayed).astype(int)
     for picture, found in zip(
         pictures.swapaxes(0, 1), shown[4::8, 4::8].reshape(-1, 3).astype(int), strict=True
     ):
         nearest = picture[np.abs(picture.max(axis=1) - found.max()).argmin()]
         assert np.abs(nearest - found).max() <= 3
-    plain = tone_map(light_of(light)).astype(int)
-    assert np.percentile(np.abs(shown.astype(int) - plain), 90) > 15
+    plain = tone_map(light_of(light @ matrix.T)).astype(int)
+    assert np.percentile(np.abs(shown.astype(int) - plain), 90) > 10
 
 
 def test_light_that_may_be_saturated_is_shown_as_the_light_beside_it() -> None:
