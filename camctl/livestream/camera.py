@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,16 @@ from pydantic import Field
 from camctl.errors import CameraNotFoundError, CameraProtocolError
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.backends import BackendOptions, LowerCase
-from camctl.interface.camera import Camera, CameraBase, CameraInfo, Frame, PreviewingCamera
+from camctl.interface.camera import (
+    Camera,
+    CameraBase,
+    CameraInfo,
+    CyclePlace,
+    Frame,
+    PreviewingCamera,
+)
 from camctl.interface.controls import Choices, ExposureControls, ExposureSetting, ResponseOrigin
+from camctl.interface.cycle import CycleMethod, CyclingCamera, FrameCycle, check_not_empty
 from camctl.livestream.planning import LivePlanner
 from camctl.livestream.tables import ExposureSet, SumTable, sum_tables
 from camctl.livestream.window import Window
@@ -72,6 +80,7 @@ class EffectiveCamera(CameraBase):
         self.camera, self._options = camera, options or EffectiveOptions()
         self._sets: dict[float, tuple[ExposureSetting, ...]] = {}
         self._codes: dict[float, list[NDArray[np.unsignedinteger]]] = {}
+        self._planned: CapturePlan | None = None
         self.open()
 
     def preview(self, setting: ExposureSetting) -> Frame:
@@ -89,7 +98,8 @@ class EffectiveCamera(CameraBase):
             spend_shutter=not isinstance(camera, PreviewingCamera),
         )
         planner = LivePlanner(camera, request, options.fps)
-        self.plan = plan = planner.first()
+        # Opened again, it is the same camera: a stream goes on with its exposures.
+        self.plan = plan = self._planned = self._planned or planner.first()
         self._below = below = camera.controls
         self._sets = _scaled(plan, planner.controls)
         info = camera.info
@@ -125,7 +135,7 @@ class EffectiveCamera(CameraBase):
         self.camera.close()
 
     def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
-        sets = [self._sets[self.controls.time_s.nearest(each.time_s)] for each in settings]
+        sets = [self._set_of(each) for each in settings]
         flat = [each for one in sets for each in one]
         if not flat:
             return
@@ -170,6 +180,10 @@ class EffectiveCamera(CameraBase):
             details={"exposures_s": [frame.applied.time_s for frame in window.frames]},
         )
 
+    def _set_of(self, setting: ExposureSetting) -> tuple[ExposureSetting, ...]:
+        """Return the exposures of the camera below that a setting stands for."""
+        return self._sets[self.controls.time_s.nearest(setting.time_s)]
+
     def _codes_of(self, time_s: float) -> list[NDArray[np.unsignedinteger]]:
         """Return the sample of each value of the sum."""
         if time_s not in self._codes:
@@ -187,6 +201,92 @@ class EffectiveCamera(CameraBase):
         base = min(map(self._below.exposure, settings))
         wanted = ExposureSet(settings, base, self.plan.desired)
         return sum_tables(self._below, wanted, is_exact=True)
+
+
+class StreamingEffectiveCamera(EffectiveCamera):
+    """An effective camera over one that streams: each frame of that one completes one of it."""
+
+    def cycle(self, settings: Sequence[ExposureSetting]) -> FrameCycle:
+        """Return frames without end; see `camctl.interface.cycle.CyclingCamera`.
+
+        The first frame of a list, and of one that it is exchanged for, is there when each of its
+        exposures was taken once.
+        """
+        check_not_empty(settings)
+        checked = self._checked(settings)
+        found = EffectiveCycle(self, checked)
+        self._is_shooting = True
+        return found
+
+
+class EffectiveCycle:
+    """A `camctl.interface.cycle.FrameCycle` over the frames of the camera below.
+
+    The exposures of all settings are interleaved: the first one of each setting, the second of
+    each, and so on, so that each frame completes a frame of the next setting.
+
+    Args:
+        camera: whose frames they are
+        settings: the list, which was checked
+    """
+
+    def __init__(
+        self, camera: StreamingEffectiveCamera, settings: tuple[ExposureSetting, ...]
+    ) -> None:
+        assert isinstance(camera.camera, CyclingCamera)  # as the class says
+        self._camera = camera
+        self._lists = {0: settings}
+        self._cycle = camera.camera.cycle(self._interleaved(settings))
+        self._plan: int | None = None
+        self._windows: list[Window] = []
+        self._filling = 0  # frames that completed none
+        self._is_open = True
+
+    @property
+    def method(self) -> CycleMethod:
+        """How the camera below sets its exposures."""
+        return self._cycle.method
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> Frame:
+        while True:
+            self._camera._check_open()
+            frame = next(self._cycle)
+            assert frame.place is not None  # a frame of a cycle has one
+            settings = self._lists[frame.place.plan]
+            if frame.place.plan != self._plan:
+                self._plan = frame.place.plan
+                self._windows = [Window(self._camera._below) for _ in settings]
+            position, index = divmod(frame.index, len(settings))
+            window = self._windows[index]
+            window.put(frame, position)
+            if len(window.frames) == len(self._camera.plan.settings):
+                made = self._camera._frame(window, settings[index], index, frame.timestamp_s)
+                number = frame.place.number - self._filling
+                return replace(made, place=CyclePlace(number, frame.place.plan))
+            self._filling += 1
+
+    def exchange(self, settings: Sequence[ExposureSetting]) -> int:
+        """See `FrameCycle.exchange`."""
+        check_not_empty(settings)
+        for setting in settings:
+            self._camera.controls.check(setting)
+        number = self._cycle.exchange(self._interleaved(settings))
+        self._lists[number] = tuple(settings)
+        return number
+
+    def close(self) -> None:
+        """See `FrameCycle.close`."""
+        if self._is_open:
+            self._is_open = False
+            self._camera._is_shooting = False
+            self._cycle.close()
+
+    def _interleaved(self, settings: Sequence[ExposureSetting]) -> list[ExposureSetting]:
+        sets = [self._camera._set_of(each) for each in settings]
+        return [each for same in zip(*sets, strict=True) for each in same]
 
 
 def _scaled(
@@ -242,8 +342,9 @@ class EffectiveBackend:
         chosen = EffectiveOptions.parse(own)
         others = {name: value for name, value in options.items() if name not in own}
         camera = open_camera(address, others)
+        kind = StreamingEffectiveCamera if isinstance(camera, CyclingCamera) else EffectiveCamera
         try:
-            return EffectiveCamera(camera, chosen)
+            return kind(camera, chosen)
         except BaseException:
             camera.close()
             raise

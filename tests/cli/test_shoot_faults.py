@@ -27,6 +27,7 @@ DONE: dict[str, tuple[int, set[int], set[str]]] = {
     "longer=0.001": (0, {2}, {"exposure_differs"}),
     "longer=0.003": (3, {2}, {"exposure_differs"}),
     "clamp=0.02": (3, {1, 2, 3}, {"exposure_differs", "delay_settled", "delay_contradicts"}),
+    "stated=1": (0, set(), set()),
     "delay=1": (0, {1, 2, 3}, {"delay_settled", "time_differs"}),
 }
 

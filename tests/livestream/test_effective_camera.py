@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import islice
+
 import numpy as np
 import pytest
 from still_scene import open_before, waves
@@ -9,7 +11,7 @@ from still_scene import open_before, waves
 import camctl
 from camctl.errors import CamctlError
 from camctl.interface.camera import Camera
-from camctl.livestream.camera import EffectiveCamera, EffectiveOptions
+from camctl.livestream.camera import EffectiveOptions, StreamingEffectiveCamera
 from camctl.sim.camera import SimulatedCamera
 from camctl.testing.conformance import CameraConformance
 
@@ -32,7 +34,7 @@ class TestEffective(CameraConformance):
             base=0.02,
             fps=0.2,
         )
-        return EffectiveCamera(self.simulated, options)
+        return StreamingEffectiveCamera(self.simulated, options)
 
     def unplug(self, camera: Camera) -> None:
         self.simulated.device.unplug()
@@ -55,6 +57,42 @@ def test_a_capture_with_it_has_the_light_of_the_scene() -> None:
         truth = below.scene.irradiance  # type: ignore[attr-defined]
     bright = truth > 0.05 * truth.max()
     assert np.median(one[bright] / truth[bright]) == pytest.approx(1, abs=0.03)
+
+
+@pytest.mark.parametrize("faults", ["drop@9", "unplug@20"])
+def test_it_streams_at_the_rate_of_the_camera_below(faults: str) -> None:
+    """Each frame of that one completes a result; a frame is lost, or the camera unplugged."""
+    options = {
+        **{"scene": "ramp", "size": "64x48", "range": "low", "base": "0.004", "fps": "2"},
+        "faults": faults,
+    }
+    with camctl.open_camera("effective:sim", options) as camera:
+        below = camera.camera  # type: ignore[attr-defined]
+        truth = below.scene.irradiance
+        request = camctl.CaptureRequest(base_s=0.004, ratios=(1, 4), dynamic_range=256)
+        with camctl.live(camera, request) as live:
+            some = list(islice(live, 3))
+            before = below.device.upcoming
+            some += islice(live, 40)
+            taken = below.device.upcoming - before
+        assert [each.number for each in some] == list(range(43))
+        if faults == "drop@9":
+            assert taken <= 43
+            assert 1 <= live.lost <= 2
+        assert len(list(camera.shoot([some[0].plan.settings[0]]))) == 1  # it is free again
+    last = some[-1]
+    bright = truth > 0.05 * truth.max()
+    assert np.median(last.irradiance[bright] / truth[bright]) == pytest.approx(1, abs=0.03)
+
+
+def test_opencv_s_class_takes_it() -> None:
+    capture = camctl.VideoCapture("effective:sim", options={"scene": "ramp", "size": "64x48"})
+    for _ in range(4):
+        found, picture = capture.read()
+        assert found
+        assert picture is not None
+        assert picture.std() > 10
+    capture.release()
 
 
 @pytest.mark.parametrize(
