@@ -78,9 +78,12 @@ def plan_for(controls: ExposureControls, search: Search, light: Light | None) ->
     levels_wanted = request.levels_wanted or float(len(ratios) * real.M)
     objective, exposures = Objective(levels_wanted), controls.relative_exposures(settings)
     noise = None if controls.noise is None else controls.frame_noise(settings)
-    if chosen.levels is not None and real.M > _MOST_EXACT:  # as exact, in a tenth of the time
+    if chosen.front is not None and noise is not None:
+        levels = chosen.levels
+        if levels is None or real.M <= _MOST_EXACT:  # else as exact, in a tenth of the time
+            levels = chosen.front.levels_with(exposures, noise)
         expected = evaluate(real, desired, exposures, objective=objective)
-        expected = replace(expected, effective_levels=chosen.levels)
+        expected = replace(expected, effective_levels=levels)
     else:
         expected = evaluate(real, desired, exposures, objective=objective, noise=noise)
     planned = None if light is None else planned_light(light, chosen, controls)
@@ -109,9 +112,12 @@ def plan_for(controls: ExposureControls, search: Search, light: Light | None) ->
     )
     possible = expected.effective_levels
     if noise is None or not np.allclose(exposures, ratios, rtol=SAME_LEVELS, atol=0.0):
-        possible = evaluate(
-            real, desired, ratios, objective=objective, noise=noise
-        ).effective_levels
+        if chosen.front is None or noise is None:
+            possible = evaluate(
+                real, desired, ratios, objective=objective, noise=noise
+            ).effective_levels
+        else:
+            possible = chosen.front.levels_with(ratios, noise)
     return replace(
         plan,
         findings=(

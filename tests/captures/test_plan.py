@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -15,12 +16,14 @@ from hypothesis import strategies as st
 from sampling import some
 from small_cameras import WrappedCamera, small_camera
 
-from camctl.captures.plan import plan_capture
+from camctl.captures.metering import meter_light
+from camctl.captures.plan import plan_capture, plan_for
 from camctl.captures.sequencer import capture
 from camctl.errors import CaptureError, DataError, UsageError
 from camctl.exposure.build import look_up
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.objective import xi
+from camctl.exposure.search.best import Search
 from camctl.exposure.search.settings import (
     BASE_SLACK_STOPS,
     SettingChooser,
@@ -41,6 +44,9 @@ from camctl.model.effective import EffectiveCamera
 from camctl.model.response.camera import linear_response
 from camctl.model.response.desired import desired_response
 from camctl.records.folder_store import read_capture
+from camctl.sim.camera import SimulatedCamera
+from camctl.sim.scenes.scene import load_scene
+from camctl.sim.sensors.sensor import load_sensor
 
 THIRDS = Choices(tuple(2.0 ** (k / 3) for k in range(-36, 16)))
 HUNDRED_US = Steps(1e-4, 10.0, 1e-4)
@@ -375,3 +381,18 @@ def test_exposures_that_reach_the_darkest_light_or_are_fixed_stay() -> None:
     assert found is not None
     assert found[0][-1] == ExposureSetting(0.01, 4.0)
     assert reach_shadows(brief, CaptureRequest(), desired, found[0]) is None
+
+
+def test_a_plan_is_not_predicted_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """What a plan says of its accuracy is kept on disk, also where times are rounded."""
+    monkeypatch.setenv("CAMCTL_CACHE", str(tmp_path))
+    request = CaptureRequest(time_budget_s=2.0)
+    with SimulatedCamera(load_scene("tile-floor"), load_sensor("webcam"), seed=0) as camera:
+        light = meter_light(camera, request)
+        first = plan_for(camera.controls, Search(camera.controls, request), light)
+        predicted = Mock(side_effect=AssertionError("predicted once more"))
+        monkeypatch.setattr("camctl.exposure.search.front.noisy_effective_levels", predicted)
+        monkeypatch.setattr("camctl.exposure.evaluation.noisy_effective_levels", predicted)
+        again = plan_for(camera.controls, Search(camera.controls, request), light)
+    assert again == first
+    predicted.assert_not_called()

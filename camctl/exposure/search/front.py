@@ -40,6 +40,7 @@ from camctl.exposure.search.timed_problem import timed_problem, without_costs
 from camctl.exposure.search.wall_time import predicted_wall_s
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.effective import EffectiveCamera
+from camctl.model.noise import FrameNoise
 from camctl.model.response.desired import DesiredResponse
 
 VERSION = 3
@@ -105,6 +106,19 @@ def _read_points(path: Path, *, least: int) -> tuple[FrontPoint, ...]:
         if len(points) >= least:
             return points
     raise DataError(f"cached settings {path} are damaged")
+
+
+def _read_levels(path: Path) -> float:
+    """Return the effective levels in a file.
+
+    Raises:
+        DataError: it is damaged
+    """
+    with suppress(ValueError):
+        levels = float(path.read_text("utf-8"))
+        if 0 < levels < math.inf:
+            return levels
+    raise DataError(f"cached effective levels {path} are damaged")
 
 
 class Front:
@@ -228,14 +242,37 @@ class Front:
         `least` is the number that there must be: an answer may be that there is none.
         """
         if question not in self._answers:
-            parts = repr((VERSION, *self._identity, question)).encode()
             self._answers[question] = kept(
-                f"front-{hashlib.sha256(parts).hexdigest()[:24]}",
+                self._file(question),
                 partial(_read_points, least=least),
                 find,
                 lambda points: _POINTS.dump_json(points).decode(),
             )
         return self._answers[question]
+
+    def levels_with(self, exposures: Sequence[float], noise: Sequence[FrameNoise]) -> float:
+        """Return the exact effective levels of exposures, kept on disk as the points are.
+
+        Args:
+            exposures: relative to each other
+            noise: of each
+        """
+
+        def find() -> float:
+            relative = [exposure / min(exposures) for exposure in exposures]
+            camera = EffectiveCamera.of(self.controls.levels, relative)
+            return noisy_effective_levels(camera, self.desired, noise)
+
+        return kept(
+            self._file(f"levels with {tuple(exposures)!r} {tuple(noise)!r}"),
+            _read_levels,
+            find,
+            repr,
+        )
+
+    def _file(self, question: str) -> str:
+        parts = repr((VERSION, *self._identity, question)).encode()
+        return f"front-{hashlib.sha256(parts).hexdigest()[:24]}"
 
     @property
     def _identity(self) -> tuple[object, ...]:
