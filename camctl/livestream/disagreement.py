@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.edges import local_ranges
+from camctl.evidence.light_ratio import NeighbourCheck
 from camctl.evidence.marks import FALSE_ALARMS
 from camctl.evidence.patches import sample_patches
 from camctl.evidence.residual import Limits, Pair, Side
@@ -98,3 +99,19 @@ class Disagreement:
             colours,
         )
         return pair.limits(-NormalDist().inv_cdf(FALSE_ALARMS / 2 / pairs))
+
+
+def contradict(controls: ExposureControls, frames: Sequence[Frame]) -> bool:
+    """Return whether most of a picture contradicts the exposures of its frames."""
+    check = NeighbourCheck(controls.levels, controls.black, controls.layout, len(frames))
+    noise = controls.frame_noise([frame.applied for frame in frames])
+    samples = [
+        check.sample(frame.pixels, each if controls.noise else None)
+        for frame, each in zip(frames, noise, strict=True)
+    ]
+    exposures = [controls.exposure(frame.applied) for frame in frames]
+    order = sorted(range(len(frames)), key=exposures.__getitem__)
+    return any(
+        check.compare(samples[a], samples[b], exposures[b] / exposures[a]).contradicts
+        for a, b in pairwise(order)
+    )

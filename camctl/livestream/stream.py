@@ -9,7 +9,6 @@ from collections.abc import AsyncIterator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
-from itertools import pairwise
 from typing import Literal, Self
 
 from camctl.errors import (
@@ -20,18 +19,17 @@ from camctl.errors import (
     CaptureError,
     UsageError,
 )
-from camctl.evidence.light_ratio import NeighbourCheck
 from camctl.exposure.goal import CaptureRequest
 from camctl.findings import Finding, note
 from camctl.interface.camera import Camera, Frame, use_delay
 from camctl.interface.clock import VirtualClock, cancelled_by
 from camctl.interface.controls import ExposureControls
 from camctl.interface.cycle import CyclingCamera, FrameCycle
-from camctl.livestream.disagreement import Disagreement
+from camctl.livestream.disagreement import Disagreement, contradict
 from camctl.livestream.following import Following, Look
 from camctl.livestream.planning import LivePlanner, measured_noise
 from camctl.livestream.result import Arrays, LiveResult
-from camctl.livestream.tables import ExposureSet, SumTable, sum_tables
+from camctl.livestream.tables import ExposureSet, KeptTables, SumTable
 from camctl.livestream.window import Window
 from camctl.records.capture_plan import CapturePlan
 
@@ -44,8 +42,6 @@ _LOOK_FRAMES = 8
 _CONTRADICTING_LOOKS = 2
 #: How often a camera that is gone is opened again, s.
 _RETRY_S = 0.5
-#: Sets of exposures whose tables are kept: two lists of 16 and all that is mixed of them.
-_KEPT_TABLES = 34
 
 
 class Live:
@@ -80,7 +76,7 @@ class Live:
         self._plans: dict[int, CapturePlan] = {}
         self._wanted: CapturePlan | None = None  # the plan whose frames come next
         self._count = self._given = 0  # results made possible, and of them the last one given
-        self._tables: dict[ExposureSet, tuple[SumTable, ...]] = {}
+        self._tables = KeptTables()
         self._error: BaseException | None = None
         self._is_closed = False
         self._step_lock = threading.Lock()  # held while a frame is taken
@@ -348,18 +344,9 @@ class Live:
 
     def _tables_of(self, frames: tuple[Frame, ...]) -> tuple[SumTable, ...]:
         wanted = self._set_of(frames)
-        found = self._tables.get(wanted)
-        if found is None:
-            is_mixed = wanted.settings != self._shown.settings
-            is_exact = self._is_virtual and not is_mixed  # nobody waits for it
-            found = sum_tables(self._controls, wanted, is_exact=is_exact)
-            self._keep_tables(wanted, found)
-        return found
-
-    def _keep_tables(self, wanted: ExposureSet, found: tuple[SumTable, ...]) -> None:
-        if len(self._tables) >= _KEPT_TABLES:
-            del self._tables[next(iter(self._tables))]
-        self._tables[wanted] = found
+        # In virtual time nobody waits for the exact ones.
+        is_exact = self._is_virtual and wanted.settings == self._shown.settings
+        return self._tables.get(self._controls, wanted, is_exact=is_exact)
 
     # ---- looking at light and exposures
 
@@ -392,11 +379,9 @@ class Live:
             return
         if self._measures_noise:
             self._measure_noise(frames)
-        elif not self._tables[wanted][0].is_exact:
-            found = sum_tables(self._controls, wanted, is_exact=True)
-            with self._state:
-                self._keep_tables(wanted, found)
-        self._contradicting = self._contradicting + 1 if self._contradicts(frames) else 0
+        else:
+            self._tables.make_exact(self._controls, wanted, self._state)
+        self._contradicting = self._contradicting + 1 if contradict(self._controls, frames) else 0
         self._more_findings = list(look.findings(wanted.desired.dynamic_range))
         is_other = self._following.is_other(look) and self.planner.request.base_s is None
         if is_other or self._next_planner:
@@ -410,22 +395,6 @@ class Live:
                 self._controls = replace(self._controls, noise=noise)
                 self._tables.clear()
                 self._disagreement = Disagreement(self._controls)
-
-    def _contradicts(self, frames: tuple[Frame, ...]) -> bool:
-        """Return whether most of a picture contradicts the exposures of its frames."""
-        controls = self._controls
-        check = NeighbourCheck(controls.levels, controls.black, controls.layout, len(frames))
-        noise = controls.frame_noise([frame.applied for frame in frames])
-        samples = [
-            check.sample(frame.pixels, each if controls.noise else None)
-            for frame, each in zip(frames, noise, strict=True)
-        ]
-        exposures = [controls.exposure(frame.applied) for frame in frames]
-        order = sorted(range(len(frames)), key=exposures.__getitem__)
-        return any(
-            check.compare(samples[a], samples[b], exposures[b] / exposures[a]).contradicts
-            for a, b in pairwise(order)
-        )
 
     def _settle(self) -> None:
         """Let the camera settle at each exposure where its control delay is not the known one."""

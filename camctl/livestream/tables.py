@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,6 +26,9 @@ from camctl.model.response.desired import DesiredResponse
 from camctl.model.sensor import SensorModel
 from camctl.model.step_posterior import FrameSet
 from camctl.pictures.render import DARK, FULL_CODE, GOOD, SATURATED
+
+#: Sets of exposures whose tables are kept: two lists of 16 and all that is mixed of them.
+_KEPT_TABLES = 34
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +70,41 @@ class ExposureSet:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "response", (self.desired.key, self.desired.dynamic_range))
+
+
+class KeptTables:
+    """The tables of the last sets of exposures; its caller holds a lock, as `make_exact` says."""
+
+    def __init__(self) -> None:
+        self._found: dict[ExposureSet, tuple[SumTable, ...]] = {}
+
+    def get(
+        self, controls: ExposureControls, wanted: ExposureSet, *, is_exact: bool
+    ) -> tuple[SumTable, ...]:
+        """Return the tables of a set, which are made where there are none."""
+        if wanted not in self._found:
+            self._keep(wanted, sum_tables(controls, wanted, is_exact=is_exact))
+        return self._found[wanted]
+
+    def make_exact(
+        self, controls: ExposureControls, wanted: ExposureSet, lock: AbstractContextManager[object]
+    ) -> None:
+        """Make the exact tables of a set, without the lock, which is taken to keep them."""
+        with lock:
+            found = self._found.get(wanted)
+        if found is None or not found[0].is_exact:
+            exact = sum_tables(controls, wanted, is_exact=True)
+            with lock:
+                self._keep(wanted, exact)
+
+    def clear(self) -> None:
+        """Forget all: noise or camera have changed."""
+        self._found.clear()
+
+    def _keep(self, wanted: ExposureSet, found: tuple[SumTable, ...]) -> None:
+        if wanted not in self._found and len(self._found) >= _KEPT_TABLES:
+            del self._found[next(iter(self._found))]
+        self._found[wanted] = found
 
 
 def sum_tables(
