@@ -87,7 +87,9 @@ def _compensation_finding(
     if time.minimum * 0.99 <= requested_s <= time.maximum * 1.01:
         return []
     possible = math.log2(plan.base_s / plan.metering.limit_s)
-    towards_zero = math.floor(10 * abs(possible)) / 10  # more would be beyond the camera again
+    # In tenths, and within the camera's times: else the same finding would come again.
+    tenths = round(10 * possible, 6)
+    within = (math.ceil(tenths) if requested_s < time.minimum else math.floor(tenths)) / 10
     return [
         Finding(
             code="setting_differs",
@@ -100,7 +102,7 @@ def _compensation_finding(
                 "least_s": time.minimum,
                 "most_s": time.maximum,
             },
-            remedies={"compensation_stops": math.copysign(towards_zero, stops) + 0.0},
+            remedies={"compensation_stops": within + 0.0},
         )
     ]
 

@@ -15,6 +15,7 @@ DONE: dict[str, tuple[int, set[int], set[str]]] = {
     "busy=2": (0, set(), {"time_differs"}),
     "drop@1": (0, set(), {"time_differs"}),
     "repeat@1": (0, {2}, set()),
+    "corrupt@0": (0, {1}, set()),
     "corrupt@1": (0, {2}, set()),
     "truncate@1": (0, {2}, set()),
     "shift@1": (0, {2}, set()),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+from itertools import cycle
 
 import numpy as np
 import pytest
@@ -105,6 +107,59 @@ def test_no_metered_light_leads_to_hints_that_do_not_end(places: tuple[float, ..
                 controls.check(setting)
             for finding in plan.findings:
                 assert "compensation_stops" not in finding.remedies
+
+
+def check_that_hints_end(
+    controls: ExposureControls,
+    request: CaptureRequest,
+    limit_s: float,
+    before: tuple[CaptureRequest, ...] = (),
+) -> int:
+    """Follow each hint that changes the exposure, and those after it; return the most in a row.
+
+    A request that comes again is a loop.
+    """
+    assert request not in before, (limit_s, *before)
+    found = plan_or_error(controls, request, limit_s)
+    hints = (found,) if isinstance(found, CamctlError) else found.findings
+    names = {"base_s", "compensation_stops", "count", "ratios"}
+    changes = [{k: v} for hint in hints for k, v in hint.remedies.items() if k in names]
+    if isinstance(found, CapturePlan):
+        for setting in found.settings:
+            controls.check(setting)
+    return max(
+        (
+            1
+            + check_that_hints_end(controls, replace(request, **each), limit_s, (*before, request))
+            for each in changes
+        ),
+        default=0,
+    )
+
+
+@pytest.mark.parametrize("stops", [-0.5, 0.0, 1.0])
+def test_hints_end_where_light_is_beyond_the_times_of_the_camera(stops: float) -> None:
+    controls = controls_of(TIMES["4 ms"], GAINS[0], None)
+    request = CaptureRequest("linear", 256.0, 2, compensation_stops=stops)
+    for limit_s in (0.001, 0.16):  # two stops below the shortest time, and above the longest
+        assert check_that_hints_end(controls, request, limit_s) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", sensor_names())
+def test_hints_end_for_every_preset_at_every_step_of_exposure(preset: str) -> None:
+    """Light for every third of a stop, from below the shortest to above the longest time."""
+    sensor = load_sensor(preset)
+    controls = controls_of(sensor.times, sensor.gains, None)
+    shortest, longest = controls.time_s.minimum, controls.time_s.maximum
+    thirds = np.arange(-6, 3 * np.log2(longest / shortest) + 7)
+    compensations = cycle((0.0, -0.5, 1.0, -3.0, 0.3, -12.0, 12.0, 0.0))  # with each request once
+    most = 0
+    for limit_s in shortest * 2.0 ** (thirds / 3):
+        for request, stops in zip(REQUESTS, compensations, strict=False):
+            one = replace(request, compensation_stops=stops)
+            most = max(most, check_that_hints_end(controls, one, float(limit_s)))
+    assert most >= 1  # compensations beyond the camera's times have a hint
 
 
 @pytest.mark.parametrize("preset", sensor_names())
