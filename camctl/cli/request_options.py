@@ -43,7 +43,8 @@ if TYPE_CHECKING:
 MOST_FOR_TOLERANCE = 6
 """Exposures that a tolerance may take where their number is not given."""
 
-COUNT = WholeNumber(least=1, most=16)
+COUNT = WholeNumber(least=1, most=64)
+SEARCHED = WholeNumber(least=1, most=16)
 LEVELS = Number("a number of levels from 1 to 1e7", least=1, most=1e7)
 TOLERANCE = Number("a number of levels of at least 0", least=0)
 STOPS = Number("a number of stops from -64 to 64, such as -1 or 0.5", least=-64, most=64)
@@ -165,7 +166,7 @@ REQUEST_OPTIONS: Final[dict[str, RequestOption]] = {
 """The fields of a request; `messages.command_line.OPTIONS` has their names as options."""
 
 STUDY_OPTIONS: Final[dict[str, RequestOption]] = {
-    "counts": RequestOption("Numbers of exposures.", "N,...", ListOf(COUNT, unique=True)),
+    "counts": RequestOption("Numbers of exposures.", "N,...", ListOf(SEARCHED, unique=True)),
     "responses": RequestOption("Desired responses.", "NAME,...", ListOf(RESPONSE, unique=True)),
     "scene": RequestOption("Scene before the simulated camera.", "NAME|FILE", SCENE),
     "sensor": RequestOption("Sensor of the simulated camera.", "NAME|FILE.json", SENSOR),

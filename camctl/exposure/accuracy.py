@@ -24,12 +24,12 @@ from camctl.exposure.evaluation import evaluate
 from camctl.exposure.exposure_choices import AccuracyProblem, Rated
 from camctl.exposure.settings_grid import SAME
 from camctl.exposure.solver import Progress, Solution
-from camctl.model.effective import MAX_EXPOSURES, check_count
+from camctl.model.effective import MOST_SEARCHED, check_count
 
 NEAR_TIE = 0.005
 """Relative difference in effective levels up to which the shorter set is preferred."""
 
-COUNTS: tuple[int, ...] = tuple(range(1, MAX_EXPOSURES + 1))
+COUNTS: tuple[int, ...] = tuple(range(1, MOST_SEARCHED + 1))
 """Numbers of exposures to choose from where none is given."""
 
 
@@ -83,7 +83,7 @@ def solve_accuracy(
 
     Args:
         problem: the camera, its noise and the desired response
-        counts: numbers of exposures to choose from, 1 to 16 each
+        counts: numbers of exposures to choose from, 1 to 64 each
         total_limit: longest time of a set as `AvailableExposures.costs` counts it, in the unit of
             the available times
         accuracy: effective levels, noise included, to reach in the least time

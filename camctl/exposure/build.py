@@ -27,7 +27,7 @@ from camctl.exposure.table import (
     read_entry,
     write_text,
 )
-from camctl.model.effective import check_count
+from camctl.model.effective import MOST_SEARCHED, check_count
 from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import DesiredResponse, desired_response
 from camctl.model.response.names import RANGES, RESPONSES
@@ -60,7 +60,7 @@ class Job:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        check_count(self.n)
+        check_count(self.n, MOST_SEARCHED)
 
     @property
     def name(self) -> str:

@@ -51,12 +51,12 @@ def evaluate(
     Args:
         response: the response of the real camera
         desired: the desired response; its E = 1 is full scale of the shortest exposure
-        exposures: 1 to 16 exposures relative to each other, for example 1, 2, 4 or times in s
+        exposures: 1 to 64 exposures relative to each other, for example 1, 2, 4 or times in s
         objective: the definition of xi; None: missing levels of n * M
         noise: noise of each exposure, in their order; None: unknown
 
     Raises:
-        UsageError: an exposure is not a positive, finite number, there are none or more than 16, or
+        UsageError: an exposure is not a positive, finite number, there are none or more than 64, or
             there is not one noise for each
 
     >>> from camctl.model.response.camera import linear_response

@@ -55,9 +55,9 @@ class Goal:
         dynamic_range: desired dynamic range, > 1, or "low", "medium", "high"; "auto": the range of
             the metered light, as far as the camera is accurate over it, and `RANGE_WITHOUT_LIGHT`
             where none is metered; a curve has its own, and this one is not used
-        count: number of exposures, 1 to 16; None: chosen by accuracy, as many as are best within a
-            time budget or reach an accuracy soonest, otherwise as many as pay: with more time,
-            accuracy grows no faster than by averaging; chosen by xi, 3
+        count: number of exposures, 1 to 64, by xi to 16; None: chosen by accuracy, as many as are
+            best within a time budget or reach an accuracy soonest, otherwise as many as pay: with
+            more time, accuracy grows no faster than by averaging; chosen by xi, 3
         gamma: exponent of the response "gamma", 0.01 to 100; None: 1/2
         desired_curve: samples (irradiance, u) of the response "curve", at least two, in ascending
             order of irradiance (> 0); both are scaled to end at 1, and u to begin at 0

@@ -23,6 +23,7 @@ import numpy as np
 from camctl.errors import UsageError, unknown_name
 from camctl.exposure.noise import NoiseTerm
 from camctl.model.effective import (
+    MOST_SEARCHED,
     EffectiveCamera,
     check_count,
     check_exposures,
@@ -283,7 +284,7 @@ class ExposureProblem:
     Attributes:
         response: the response of the real camera
         desired: the desired response
-        n: number of exposures, 1 to 16
+        n: number of exposures, 1 to 64
         objective: the quantity to minimise
 
     Raises:
@@ -326,7 +327,10 @@ class ExposureProblem:
         """
         if self.objective.jitter == 0:
             return np.ones((1, self.n))
-        half = np.random.default_rng(20030616).standard_normal((JITTER_DRAWS // 2, 16))[:, : self.n]
+        draw = np.random.default_rng(20030616).standard_normal
+        parts = -(-self.n // MOST_SEARCHED)  # the first exposures have the same factors in each set
+        drawn = [draw((JITTER_DRAWS // 2, MOST_SEARCHED)) for _ in range(parts)]
+        half = np.concatenate(drawn, axis=1)[:, : self.n]
         factors = np.exp(self.objective.jitter * np.concatenate([half, -half]))
         return np.asarray(factors / factors[:, :1])
 

@@ -22,7 +22,7 @@ from camctl.exposure.candidates import MAX_FLOAT32_LEVELS, BatchScore
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.objective import ExposureProblem, Objective
 from camctl.exposure.random_sets import RandomSets
-from camctl.model.effective import MAX_EXPOSURES
+from camctl.model.effective import MOST_SEARCHED, check_count
 from camctl.model.response.camera import CameraResponse, FloatArray, every_nth_level
 from camctl.model.response.desired import DesiredResponse
 
@@ -213,6 +213,7 @@ def solve(
     >>> [round(e, 1) for e in found.exposures]
     [1.0, 32.4]
     """
+    check_count(n, MOST_SEARCHED)
     problem = ExposureProblem(response, desired, n, objective or Objective())
     options, started = search or SearchOptions(), process_time()
     if tolerance is None:
@@ -352,7 +353,7 @@ class _Search:
         self.score, self.exact_scores = BatchScore(problem), 0
         self.deadline = monotonic() + (search.time_limit_s or math.inf)
         n, M, levels = problem.n, problem.response.M, problem.response.levels
-        darkest = problem.desired.e_min or float(levels[levels > 0][0]) / MAX_EXPOSURES
+        darkest = problem.desired.e_min or float(levels[levels > 0][0]) / MOST_SEARCHED
         self.moves = RandomSets(
             np.random.default_rng(search.seed), n, problem.response, -math.log(darkest)
         )

@@ -19,7 +19,12 @@ from camctl.errors import UsageError
 from camctl.model.response.camera import CameraResponse, FloatArray
 from camctl.model.response.desired import DesiredResponse
 
-MAX_EXPOSURES = 16
+MAX_EXPOSURES = 64
+"""Exposures of one capture at most: two digits number its frames, and a report holds so many."""
+
+MOST_SEARCHED = 16
+"""Exposures of a search by missing levels at most: each more makes it longer, a minute for 16 of 16
+bits; and of a set whose number the controller chooses."""
 
 COINCIDENCE = 1e-12
 """Levels within this distance, relative to the lower one, count as one.
@@ -29,17 +34,17 @@ gap up to 16 bits, and at least a thousand times the rounding error of E_k / e_j
 """
 
 
-def check_count(n: int) -> None:
-    """Raise `UsageError` unless n is a number of exposures, 1 to 16."""
-    if not 1 <= n <= MAX_EXPOSURES:
-        raise UsageError(f"invalid number of exposures {n}: expected 1 to {MAX_EXPOSURES}")
+def check_count(n: int, most: int = MAX_EXPOSURES) -> None:
+    """Raise `UsageError` unless n is a number of exposures, 1 to `most`."""
+    if not 1 <= n <= most:
+        raise UsageError(f"invalid number of exposures {n}: expected 1 to {most}")
 
 
 def check_exposures(exposures: Sequence[float]) -> tuple[float, ...]:
     """Return the exposures as floats.
 
     Raises:
-        UsageError: there are none or more than 16, or one is not a positive, finite number
+        UsageError: there are none or more than 64, or one is not a positive, finite number
     """
     values = tuple(float(e) for e in exposures)
     check_count(len(values))

@@ -35,9 +35,9 @@ FRAMES, LOCK = "frames", ".camctl.lock"
 SAMPLES = ".npy"
 """Suffix of a file with the samples of a frame."""
 
-#: Bytes that are read as a report at most; 16 frames with all that a simulation reports are 0.1 MB.
-_LARGEST_REPORT = 4 << 20
-#: Bytes of what a camera reports of one frame; 16 of them fit into a report.
+#: Bytes that are read as a report at most; 64 frames with all that a simulation reports are 0.4 MB.
+_LARGEST_REPORT = 8 << 20
+#: Bytes of what a camera reports of one frame; 64 of them fit into a report.
 _LONGEST_DETAILS = 64 << 10
 #: Characters of a file suffix at most, without the dot.
 _LONGEST_SUFFIX = 8

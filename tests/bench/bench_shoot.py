@@ -32,6 +32,7 @@ PARTS = (
     ("camctl.sim.camera", "View.of", SIMULATOR),
     ("camctl.sim.render", "Renderer.plan", SIMULATOR),
     ("camctl.sim.render", "Renderer.expose", SIMULATOR),
+    ("camctl.sim.compiled", "KernelChoice._load_now", SIMULATOR),
     ("camctl.captures.sequencer", "plan_capture", "meter and plan"),
     ("camctl.records.folder_store", "FolderStore.keep", "store and checksum frames"),
     ("camctl.captures.sequence", "FrameChecks.add", "compare frames with neighbours"),

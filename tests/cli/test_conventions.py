@@ -133,6 +133,7 @@ def test_python_runs_the_package() -> None:
 
 
 WHOLE_TO_16 = "expected a whole number from 1 to 16"
+WHOLE_TO_64 = "expected a whole number from 1 to 64"
 A_TIME = "expected a time in seconds such as 0.004 or 1/250"
 NO_PROFILES = "unknown profile 'x': there are no profiles; make one: calibrate a camera"
 RATIOS = "expected numbers from 1e-100 to 1e100, such as 1,2,4"
@@ -168,9 +169,9 @@ RATIOS = "expected numbers from 1e-100 to 1e100, such as 1,2,4"
             "evaluate --ratios 1,,2",
             "invalid value for --ratios: 1,,2; a value is missing beside a comma",
         ),
-        ("solve -n 0", f"invalid value for --exposures: 0; {WHOLE_TO_16}"),
-        ("solve -n 17", f"invalid value for --exposures: 17; {WHOLE_TO_16}"),
-        ("solve -n three", f"invalid value for --exposures: three; {WHOLE_TO_16}"),
+        ("solve -n 0", f"invalid value for --exposures: 0; {WHOLE_TO_64}"),
+        ("solve -n 65", f"invalid value for --exposures: 65; {WHOLE_TO_64}"),
+        ("solve -n three", f"invalid value for --exposures: three; {WHOLE_TO_64}"),
         ("solve --bits 17", f"invalid value for --bits: 17; {WHOLE_TO_16}"),
         (
             "solve --phase 1",
@@ -330,7 +331,7 @@ def test_error_with_json_is_an_object_and_one_line(
 @pytest.mark.parametrize(
     ("line", "message", "hint"),
     [
-        ("solve --json -n 0", "invalid value for --exposures: 0", WHOLE_TO_16),
+        ("solve --json -n 0", "invalid value for --exposures: 0", WHOLE_TO_64),
         ("solve --json --phas x", "unknown option '--phas'", "did you mean --phase?"),
         ("solv --json", "unknown command 'solv'", "did you mean solve or live?"),
         ("evaluate --json", "option --ratios is missing", "see camctl evaluate --help"),

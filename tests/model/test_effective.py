@@ -61,8 +61,8 @@ def test_a_chain_of_close_levels_is_not_one_group() -> None:
 @pytest.mark.parametrize(
     ("exposures", "message"),
     [
-        ((), "invalid number of exposures 0: expected 1 to 16"),
-        ((1.0,) * 17, "invalid number of exposures 17: expected 1 to 16"),
+        ((), "invalid number of exposures 0: expected 1 to 64"),
+        ((1.0,) * 65, "invalid number of exposures 65: expected 1 to 64"),
         ((1, -2), "invalid exposure -2: expected a positive, finite number"),
         ((1, 0), "invalid exposure 0: expected a positive, finite number"),
         ((1, float("nan")), "invalid exposure nan: expected a positive, finite number"),

@@ -184,7 +184,7 @@ def test_plan_of_a_report_must_be_possible(tmp_path: Path, change: dict[str, Any
 def test_huge_report_is_not_read(tmp_path: Path) -> None:
     folder = one_of_two(tmp_path / "out")
     os.truncate(folder / "report.json", 1 << 30)
-    with pytest.raises(DataError, match=r"report\.json: it is larger than 4 MiB"):
+    with pytest.raises(DataError, match=r"report\.json: it is larger than 8 MiB"):
         complete(folder)
 
 

@@ -14,7 +14,7 @@ from camctl.cli.options import declare, declare_as, option
 from camctl.cli.output import print_json, print_text, print_warning, progress_bar
 from camctl.cli.parameter_types import PATH, DynamicRange, ListOf
 from camctl.cli.real_camera import RealCameraOptions, real_camera_options
-from camctl.cli.request_options import named
+from camctl.cli.request_options import SEARCHED, named
 from camctl.errors import CamctlError, visible
 from camctl.model.response.names import RESPONSES
 
@@ -40,7 +40,7 @@ class TableContent:
         ListOf(DynamicRange(), unique=True),
         default="low,medium,high",
     )
-    count: int = declare_as(named("count", "Numbers of exposures: 1 up to N.", default=6))
+    count: int = declare_as(named("count", "Numbers of exposures: 1 up to N.", SEARCHED, default=6))
 
     @property
     def rows(self) -> int:

@@ -25,7 +25,7 @@ from camctl.cli.real_camera import (
     noise_options,
     real_camera_options,
 )
-from camctl.cli.request_options import RESPONSE, named
+from camctl.cli.request_options import RESPONSE, SEARCHED, named
 from camctl.cli.sensitivity import sensitivity_json, sensitivity_table
 from camctl.errors import DataError, UsageError
 from camctl.system.number_text import range_text
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 )
 @option("--response linear|gamma|log", "Only this response.  [default: all]", RESPONSE)
 @named("dynamic_range", "Only this dynamic range.  [default: all]")
-@named("count", "Only this number of exposures.  [default: all]")
+@named("count", "Only this number of exposures.  [default: all]", SEARCHED)
 @option(
     "--sensitivity",
     "Show the effective levels with exposure errors of 0.01, 0.1 and 1 %, with noise of 0.1, "
