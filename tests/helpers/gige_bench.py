@@ -61,9 +61,12 @@ def found(device: GigeCamera) -> FoundDevice:
 
 @contextmanager
 def opened(
-    device: GigeCamera, using: Library, *, silence_s: float = 3.0, **options: str
+    device: GigeCamera, using: Library, *, silence_s: float = 60.0, **options: str
 ) -> Iterator[GenicamCamera]:
-    """Open the driver's camera for a virtual one."""
+    """Open the driver's camera for a virtual one.
+
+    Frames come in real time, later on a busy computer: only a test of silence has a short limit.
+    """
     chosen = GenicamOptions.parse({**(LEVELS if "format" not in options else {}), **options})
     with GenicamCamera(using, found(device), chosen, silence_s=silence_s) as camera:
         yield camera
