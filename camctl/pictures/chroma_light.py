@@ -9,8 +9,8 @@ saturation does to a sample makes it darker.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,31 +101,32 @@ def _replace(
     chosen = beside | _add_small(tables, errors, light, deviation)
     scatter, common = np.zeros((2, chosen.size), np.float32), np.zeros_like(light)
 
-    def join(cells: NDArray[np.intp], joining: _Joining) -> NDArray[np.intp]:
-        """Replace light of cells; return those that were not joined."""
+    def join(cells: NDArray[np.intp], *, by_cell: bool) -> NDArray[np.intp]:
+        """Replace light of cells; return those that have no weights for all of a cell."""
         rest = [cells[:0]]
         for start in range(0, cells.size, _BLOCK // 4):
             some = cells[start : start + _BLOCK // 4]
             first = light.take(some, axis=1), deviation.take(some, axis=1)
-            joined, is_plain = joining(
+            joined, is_even = _joined(
                 tables,
                 [each.take(some, axis=1) for each in values],
                 errors.take(some, axis=1),
                 [each.take(some, axis=1) for each in hidden],
                 first,
+                by_cell=by_cell,
             )
             done = some
-            if not is_plain.all():
-                rest.append(some[~is_plain])
-                done, joined = some[is_plain], joined.of(is_plain)
-                first = first[0], first[1][:, is_plain]
+            if by_cell and not is_even.all():
+                rest.append(some[~is_even])
+                done, joined = some[is_even], joined.of(is_even)
+                first = first[0], first[1][:, is_even]
             light[:, done] = joined.light
             deviation[:, done] = np.where(np.isnan(first[1]), np.nan, joined.own)
             common[:, done] = joined.common
             scatter[:, done] = joined.scatter
         return np.concatenate(rest)
 
-    join(join(np.flatnonzero(chosen), _joined_plainly), _joined)
+    join(join(np.flatnonzero(chosen), by_cell=True), by_cell=False)
     shape = chosen.size // columns, columns
     measured, expected = (box_means(each.reshape(shape), _AROUND).ravel() for each in scatter)
     ratio = np.sqrt((measured + _KNOWN) / (expected + _KNOWN))
@@ -211,84 +212,11 @@ class _Joined(NamedTuple):
         return _Joined(*(each[:, cells] for each in self))
 
 
-_Joining: TypeAlias = Callable[
-    [
-        LightTables,
-        Sequence[NDArray[Any]],
-        NDArray[np.float32],
-        Sequence[NDArray[np.bool_]],
-        tuple[Floats32, Floats32],
-    ],
-    tuple[_Joined, NDArray[np.bool_]],
-]
-"""From tables, samples, errors, hidden samples and the first light: see `_joined`."""
-
-
-def _joined_plainly(
-    tables: LightTables,
-    values: Sequence[NDArray[Any]],
-    errors: NDArray[np.float32],
-    hidden: Sequence[NDArray[np.bool_]],
-    first: tuple[Floats32, Floats32],
-) -> tuple[_Joined, NDArray[np.bool_]]:
-    """Return what `_joined` does, with weights for a cell, and where that is the same, (C,).
-
-    That is so where frames do not contradict each other, and each is saturated in all of a cell or
-    in none.
-    """
-    reach, top = np.float32(CLIPPING_SIGMAS), np.float32(tables.sensor.highest(None))
-    light = first[0]
-    bins = tables.bins(light.mean(axis=0))
-    above, squares, least = np.zeros((3, *light.shape), np.float32)
-    weights, own, shared, count = np.zeros((4, bins.size), np.float32)
-    is_plain, counting = np.ones(bins.size, np.bool_), []
-    for at, value in enumerate(values):
-        limit = top - reach * errors[at]
-        counts = value.max(axis=0) <= limit
-        saturated = value.min(axis=0) > limit
-        is_plain &= (counts | saturated) & ~hidden[at].any(axis=0)
-        noise = tables.variances[at].take(bins)
-        error = errors[at] * tables.steps[at].take(bins)
-        both = noise + np.square(error)
-        sample = tables.irradiance[at].take(value)
-        lowest = sample - reach * np.sqrt(both)
-        np.maximum(least, lowest, out=least, where=saturated)
-        if (clipped := counts & tables.clipped[at].take(bins)).any():
-            # Noise does not lift a sample so far above the light that would clip it at black.
-            is_plain &= ~(clipped & (lowest > light).any(axis=0))
-            counts &= ~clipped
-        weight = counts / both
-        part = weight * sample
-        above += part
-        part *= sample
-        squares += part
-        own += np.square(weight) * noise
-        shared += weight * error
-        weights += weight
-        count += counts
-        highest = sample.min(axis=0) + reach * np.sqrt(both)
-        counting.append((counts, highest))
-    is_plain &= weights > 0
-    total = np.where(is_plain, weights, np.float32(1))
-    above /= total
-    squares -= total * np.square(above)
-    expected = count - (own + np.square(shared)) / total
-    is_plain &= ~(squares > reach**2 * np.maximum(expected, 1)).any(axis=0)
-    known = reach * np.sqrt(own + np.square(shared)) / total
-    is_plain &= ~(above + known < least).any(axis=0)
-    brightest = above.max(axis=0)
-    for (counts, highest), exposure in zip(counting, tables.exposures, strict=True):
-        # Near saturation, samples may be darker than their light.
-        near = brightest > np.float32(tables.sensor.full / exposure / 4)
-        is_plain &= ~(counts & near & (highest < brightest - known))
-    scatter = np.stack([np.maximum(squares, 0).sum(axis=0), len(light) * expected])
-    joined = _Joined(
-        np.maximum(above, 0),
-        np.broadcast_to(np.sqrt(own) / total, light.shape),
-        np.broadcast_to(shared / total, light.shape),
-        scatter,
-    )
-    return joined, is_plain
+def _seeing(exposures: NDArray[Any], saturated: Sequence[NDArray[np.bool_]]) -> list[int]:
+    """Return the frames from the shortest to the last one that is not saturated everywhere."""
+    order: list[int] = np.argsort(exposures, kind="stable").tolist()
+    seeing = [k for k, at in enumerate(order) if not saturated[at].all()]
+    return order[: 1 + max(seeing, default=0)]
 
 
 def _joined(
@@ -297,8 +225,10 @@ def _joined(
     errors: NDArray[np.float32],
     hidden: Sequence[NDArray[np.bool_]],
     first: tuple[Floats32, Floats32],
+    *,
+    by_cell: bool,
 ) -> tuple[_Joined, NDArray[np.bool_]]:
-    """Return the light of samples, (4, C), and that all are joined, (C,).
+    """Return the light of samples, and where all of a cell are of the same, agreeing frames, (C,).
 
     Args:
         tables: of their colour
@@ -306,18 +236,17 @@ def _joined(
         errors: standard deviations of the errors that frames have in common, levels, (n, C)
         hidden: whether another colour of the pixel is saturated
         first: light and deviation without these errors
+        by_cell: with the noise of a cell's mean light, whose errors choose weights less
     """
     exposures, full = tables.exposures, np.float32(tables.sensor.full)
-    order = np.argsort(exposures, kind="stable").tolist()
     reach, top = np.float32(CLIPPING_SIGMAS), np.float32(tables.sensor.highest(None))
     saturated = [each > top - reach * error for each, error in zip(values, errors, strict=True)]
-    # Frames beyond the last one that is not saturated everywhere say nothing.
-    seeing = [k for k, at in enumerate(order) if not saturated[at].all()]
-    order = order[: 1 + max(seeing, default=0)]
+    order = _seeing(exposures, saturated)
     light, deviation = first
     samples = {at: tables.irradiance[at].take(values[at]) for at in order}
-    for _ in range(_ROUNDS):
-        bins = tables.bins(light)
+    is_even = np.ones(light.shape[1], np.bool_)
+    for _ in range(1 if by_cell else _ROUNDS):
+        bins = tables.bins(light.mean(axis=0) if by_cell else light)
         above, weights, own, shared, least = (np.zeros(light.shape, np.float32) for _ in range(5))
         squares, count, high = (np.zeros(light.shape, np.float32) for _ in range(3))
         low, odd = np.full(light.shape, np.inf, np.float32), np.zeros(light.shape, np.bool_)
@@ -336,19 +265,18 @@ def _joined(
             # Nothing is known before the first frame that counts.
             total = np.where(is_known, weights, np.float32(1))
             mean = above / total
-            known = np.where(is_known, own + np.square(shared), np.float32(np.inf))
-            known /= np.square(total)
+            known = np.where(is_known, own + np.square(shared), np.inf) / np.square(total)
             counts &= mean - reach * np.sqrt(known) <= saturates
             spread = np.sqrt(known + both)
             darker = (sample < mean - reach * spread) & (mean > saturates / 4)
             darker |= hidden[at] & (sample < mean - spread)
             # What may be saturated says how much light there is at least, and so do longer ones.
             counts &= ~(darker | (sample + reached < least))
+            is_even &= ((counts == counts[0]) & ~hidden[at]).all(axis=0)
             least = np.where(dim, np.maximum(least, sample - reached), least)
             weight = counts / both
-            part = weight * sample
-            above += part
-            squares += part * sample
+            above += weight * sample
+            squares += weight * np.square(sample)
             own += np.square(weight) * noise
             shared += weight * error
             weights += weight
@@ -368,5 +296,5 @@ def _joined(
     lost = saturated[order[0]] | hidden[order[0]]
     rest = np.where(lost, np.float32(np.inf), deviation)
     sums = np.stack([each.sum(axis=0) for each in (scatter, expected)])
-    joined = _Joined(light, np.where(found, np.sqrt(own) / total, rest), common, sums)
-    return joined, np.ones(light.shape[1], np.bool_)
+    deviation = np.where(found, np.sqrt(own) / total, rest)
+    return _Joined(light, deviation, common, sums), is_even & (found & ~odd).all(axis=0)
