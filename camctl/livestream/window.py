@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from camctl.errors import CaptureError
 from camctl.interface.camera import Frame
 from camctl.interface.controls import ExposureControls, ExposureSetting, Layout
-from camctl.model.effective import MAX_EXPOSURES
 from camctl.pictures.accumulator import Accumulator
 
 
@@ -59,7 +58,7 @@ class Window:
         dtype: np.dtype[np.unsignedinteger] = np.dtype(
             np.uint8 if controls.bits <= 8 else np.uint16
         )
-        self._sum = Accumulator((*controls.shape, *colours), dtype, MAX_EXPOSURES, controls.white)
+        self._sum = Accumulator((*controls.shape, *colours), dtype, 1, controls.white)
         self.clear()
 
     def clear(self) -> None:
@@ -95,13 +94,14 @@ class Window:
         if frame.place.plan != self._plan:
             self._plan = frame.place.plan
             self._missing = set(range(count))
-            self._frames += [None] * (count - len(self._frames))
+            self._extend(count)
         self.put(frame, frame.index)
         self._missing.discard(frame.index)
         if not self._missing:
             for place in range(count, len(self._frames)):
                 self._exchange(place, None)
             del self._frames[count:]
+            self._sum.fit(count)
             self.is_complete = True
 
     def put(self, frame: Frame, place: int) -> None:
@@ -111,9 +111,15 @@ class Window:
                 f"the camera changed its black and white level to {frame.black} and {frame.white}",
                 hint="keep gain and format fixed",
             )
-        self._frames += [None] * (place + 1 - len(self._frames))
+        self._extend(place + 1)
         self._exchange(place, frame)
         self.newest = frame
+
+    def _extend(self, count: int) -> None:
+        """Have places for `count` frames at least, and a sum that holds them."""
+        if count > len(self._frames):
+            self._frames += [None] * (count - len(self._frames))
+            self._sum.fit(count)
 
     def _exchange(self, place: int, new: Frame | None) -> None:
         old, self._frames[place] = self._frames[place], new

@@ -46,6 +46,10 @@ class Accumulator:
         self._ceiling = np.full(min(_TILE, self.total.size), white if self._clips else 0, dtype)
         self._narrow = np.empty_like(self._ceiling)
 
+    def fit(self, count: int) -> None:
+        """Make the sum of the narrowest type for `count` frames; it holds no more than these."""
+        self.total = self.total.astype(sum_dtype(count, self.white), copy=False)
+
     def accumulate(self, pixels: Pixels) -> None:
         """Add one frame, clipped at white.
 
