@@ -75,6 +75,8 @@ def _after_key(model: Model, key: Key) -> tuple[Model, Effect | None]:
     target = row.get(symbol, model.state)
     if symbol is Action.RETRY and target is State.PLANNING:
         target = model.begun
+    if symbol is Action.AGAIN and model.begun is State.SERIES_SHOOTING:
+        target = model.begun
     if symbol is Action.CHANGE:
         return _with_changed_setting(model), None
     if target is model.state:

@@ -187,6 +187,16 @@ def test_series_is_chosen_and_taken_with_the_keys() -> None:
     assert job.saved[-1].repeat == 3
 
 
+def test_series_is_taken_again_from_its_result() -> None:
+    job = FakeJob()
+    script: Script = [*TO_MENU, ("Take", Key.DOWN), (">Series", Key.ENTER)]
+    script += [("pictures", Key.DOWN), (">Every", Key.DOWN), (">Start", Key.ENTER)]
+    script += [("Done", Key.ENTER), *quit_from("Done")]  # "Again" is selected
+    run(ScriptedPanel(script), lambda: job)
+    first, second = job.series_taken
+    assert (first, job.shot) == (second, [])
+
+
 def test_series_is_cancelled_with_the_exit_key() -> None:
     job = FakeJob()
     job.frame_may_end.clear()

@@ -226,3 +226,24 @@ def test_retry_after_a_cancel_begins_the_same_again(begun: State) -> None:
     assert isinstance(started, Start)
     assert isinstance(again, Start)
     assert (again.work, again.argument) == (started.work, started.argument)
+
+
+@pytest.mark.parametrize(
+    ("begun", "again"),
+    [
+        (State.PLANNING, State.PLANNING),
+        (State.RESUMING, State.PLANNING),  # nothing of it is missing now
+        (State.SERIES_SHOOTING, State.SERIES_SHOOTING),
+    ],
+)
+def test_again_after_a_result_takes_the_same_again(begun: State, again: State) -> None:
+    before = replace(FULL, state=State.RESULT, begun=begun)
+    first = STATES[State.RESULT].actions.index(Action.AGAIN)
+    model, started = step(replace(before, action=first), Key.ENTER)
+    assert model.state is again
+    assert isinstance(started, Start)
+    assert (started.work is Work.SERIES) is (begun is State.SERIES_SHOOTING)
+    if started.work is Work.SERIES:
+        _, whole = step(replace(FULL, state=State.SERIES, cursor=2), Key.ENTER)
+        assert isinstance(whole, Start)
+        assert started.argument == whole.argument
