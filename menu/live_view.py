@@ -65,10 +65,9 @@ class LiveView:
 
     @staticmethod
     def suits(camera: Camera, request: CaptureRequest) -> bool:
-        """Return whether each frame of a camera completes a picture, in real time."""
+        """Return whether a camera streams, in real time."""
         return (
             isinstance(camera, CyclingCamera)
-            and camera.controls.delay_frames is not None
             and not isinstance(camera.clock, VirtualClock)
             and request.response != AUTO
         )

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import camctl
+from camctl.interface.camera import Camera
 from camctl.menu import live_view
 from camctl.menu.camera_job import CameraJob
 from camctl.menu.data import Choice, Reading
@@ -60,9 +61,35 @@ def test_a_stream_that_nobody_looks_at_ends(
     camera.close()
 
 
-@pytest.mark.parametrize("options", [{"time": "virtual"}, {"unknown": "yes"}])
-def test_other_cameras_show_the_exposure_meter(tmp_path: Path, options: dict[str, str]) -> None:
-    job, camera = job_with(tmp_path, **options)
+@pytest.mark.parametrize(
+    ("camera_id", "options"),
+    [("effective:sim", {"range": "low", "bits": "8"}), ("sim", {"unknown": "yes"})],
+)
+def test_cameras_that_state_no_control_delay_are_shown_live(
+    tmp_path: Path, camera_id: str, options: dict[str, str]
+) -> None:
+    chosen = {"scene": "ramp", "size": "64x48", "time": "real"} | options
+    camera = camctl.open_camera(camera_id, chosen)
+    assert camera.controls.delay_frames is None
+
+    def opened(_: str) -> tuple[Camera, dict[str, str]]:
+        camera.open()  # type: ignore[attr-defined]
+        return camera, {}
+
+    job = CameraJob(opened, tmp_path, tmp_path / "menu.json")
+    job.open("")
+    try:
+        rates = [job.meter().rate for _ in range(3)]
+    finally:
+        job.close()
+        camera.close()
+    assert rates[0] == 0.0
+    assert rates[2] is not None
+    assert rates[2] > 0.5
+
+
+def test_a_camera_in_virtual_time_shows_the_exposure_meter(tmp_path: Path) -> None:
+    job, camera = job_with(tmp_path, "virtual")
     job.open("")
     assert job.meter().rate is None
     job.close()
