@@ -67,6 +67,21 @@ class CyclingCamera(Camera, Protocol):
         """
 
 
+@runtime_checkable
+class ComposingCamera(CyclingCamera, Protocol):
+    """A camera whose cycle has one frame for each frame of a camera below it.
+
+    Rates are those of that one: a frame of `shoot` takes several of its frames.
+    """
+
+    @property
+    def camera(self) -> Camera:
+        """The camera below."""
+
+    def settings_below(self, settings: Sequence[ExposureSetting]) -> list[ExposureSetting]:
+        """Return the list that the camera below repeats for a list of settings."""
+
+
 def check_not_empty(settings: Sequence[ExposureSetting]) -> None:
     """Raise `UsageError` unless there is something to repeat."""
     if not settings:

@@ -218,12 +218,17 @@ class StreamingEffectiveCamera(EffectiveCamera):
         self._is_shooting = True
         return found
 
+    def settings_below(self, settings: Sequence[ExposureSetting]) -> list[ExposureSetting]:
+        """Return the exposures of all settings: the first of each, the second of each, and so on.
+
+        Each frame then completes one of the next setting.
+        """
+        sets = [self._set_of(each) for each in settings]
+        return [each for same in zip(*sets, strict=True) for each in same]
+
 
 class EffectiveCycle:
     """A `camctl.interface.cycle.FrameCycle` over the frames of the camera below.
-
-    The exposures of all settings are interleaved: the first one of each setting, the second of
-    each, and so on, so that each frame completes a frame of the next setting.
 
     Args:
         camera: whose frames they are
@@ -236,7 +241,7 @@ class EffectiveCycle:
         assert isinstance(camera.camera, CyclingCamera)  # as the class says
         self._camera = camera
         self._lists = {0: settings}
-        self._cycle = camera.camera.cycle(self._interleaved(settings))
+        self._cycle = camera.camera.cycle(camera.settings_below(settings))
         self._plan: int | None = None
         self._windows: list[Window] = []
         self._filling = 0  # frames that completed none
@@ -273,7 +278,7 @@ class EffectiveCycle:
         check_not_empty(settings)
         for setting in settings:
             self._camera.controls.check(setting)
-        number = self._cycle.exchange(self._interleaved(settings))
+        number = self._cycle.exchange(self._camera.settings_below(settings))
         self._lists[number] = tuple(settings)
         return number
 
@@ -283,10 +288,6 @@ class EffectiveCycle:
             self._is_open = False
             self._camera._is_shooting = False
             self._cycle.close()
-
-    def _interleaved(self, settings: Sequence[ExposureSetting]) -> list[ExposureSetting]:
-        sets = [self._camera._set_of(each) for each in settings]
-        return [each for same in zip(*sets, strict=True) for each in same]
 
 
 def _scaled(

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from camctl.errors import UsageError
 from camctl.interface.controls import Layout
 from camctl.livestream.display import Display
-from camctl.livestream.planning import result_rate
 from camctl.livestream.result import LiveResult
 from camctl.livestream.stream import Live
 from camctl.system.files import make_folder, storage_error
@@ -72,7 +71,7 @@ class Y4mOutput:
             self._shape = picture.shape
             rows, columns = picture.shape[:2]
             colours = "mono" if picture.ndim == 2 else "444"
-            found = result_rate(self._live.controls, result.plan.settings)
+            found = self._live.planner.rate(result.plan.settings)
             rate = Fraction(found).limit_denominator(_RATE_PARTS)
             head = (
                 f"YUV4MPEG2 W{columns} H{rows} F{rate.numerator}:{rate.denominator} Ip A1:1 "

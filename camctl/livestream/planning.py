@@ -23,6 +23,7 @@ from camctl.interface.controls import (
     ExposureSetting,
     Steps,
 )
+from camctl.interface.cycle import ComposingCamera
 from camctl.model.noise import NoiseModel
 from camctl.records.capture_plan import CapturePlan
 
@@ -52,7 +53,7 @@ class LivePlanner:
 
     def __init__(self, camera: Camera, request: CaptureRequest, fps: float | None) -> None:
         controls = camera.controls
-        interval_s = controls.frame_interval_s
+        interval_s = _below(camera, ())[0].frame_interval_s
         if fps is None:
             fps = min(DEFAULT_FPS, 1 / interval_s if interval_s else DEFAULT_FPS)
         elif not 0 < fps < 1e6:
@@ -64,7 +65,7 @@ class LivePlanner:
                 hint="ask for fewer results, or set a higher frame rate of the camera",
             )
         self.fps = fps
-        self.controls = replace(controls, time_s=_up_to(controls.time_s, 1 / fps))
+        self.controls = replace(controls, time_s=_up_to(camera, 1 / fps))
         by_light = request.accuracy is None and request.time_budget_s is None
         if request.count is None and by_light:
             request = replace(request, count=DEFAULT_COUNT)
@@ -94,7 +95,7 @@ class LivePlanner:
                 hint=error.hint,
                 remedies=error.remedies,
             ) from error
-        longest = max(setting.time_s for setting in plan.settings)
+        longest = _longest_s(self._camera, plan.settings)
         if longest * self.fps > 1 + _RATE_TOLERANCE:
             raise UsageError(
                 f"an exposure of {longest:.3g} s leaves fewer than {self.fps:g} results a second",
@@ -111,15 +112,36 @@ class LivePlanner:
         )
         return replace(plan, findings=findings)
 
+    def rate(self, settings: Sequence[ExposureSetting]) -> float:
+        """Return the results a second of a cycle: those of a round, over the time that it takes."""
+        controls, each = _below(self._camera, settings)
+        once, twice = (predicted_wall_s(controls, (*each,) * rounds) for rounds in (1, 2))
+        return len(each) / (twice - once)
 
-def result_rate(controls: ExposureControls, settings: Sequence[ExposureSetting]) -> float:
-    """Return the results a second of a cycle: those of a round, over the time that it takes."""
-    once, twice = (predicted_wall_s(controls, (*settings,) * rounds) for rounds in (1, 2))
-    return len(settings) / (twice - once)
+
+def _below(
+    camera: Camera, settings: Sequence[ExposureSetting]
+) -> tuple[ExposureControls, Sequence[ExposureSetting]]:
+    """Return controls and settings of the camera each of whose frames completes a result."""
+    while isinstance(camera, ComposingCamera):
+        settings, camera = camera.settings_below(settings), camera.camera
+    return camera.controls, settings
 
 
-def _up_to(times: Control, longest_s: float) -> Control:
-    """Return the shutter times up to a limit, or the shortest alone."""
+def _longest_s(camera: Camera, settings: Sequence[ExposureSetting]) -> float:
+    """Return the shutter time of the longest frame of a cycle, s."""
+    return max(setting.time_s for setting in _below(camera, settings)[1])
+
+
+def _up_to(camera: Camera, longest_s: float) -> Control:
+    """Return the shutter times whose frames are no longer than a limit, or the shortest alone."""
+    times = camera.controls.time_s
+    if isinstance(camera, ComposingCamera):
+        assert isinstance(times, Choices)  # it has planned sets of exposures alone
+        longest_of = {each: _longest_s(camera, [ExposureSetting(each)]) for each in times.values}
+        limit_s = longest_s * (1 + _RATE_TOLERANCE)
+        short = tuple(each for each in times.values if longest_of[each] <= limit_s)
+        return Choices(short or (times.minimum,))
     longest = at_most(times, longest_s)
     if isinstance(times, Choices):
         return Choices(tuple(each for each in times.values if each <= longest))

@@ -13,7 +13,6 @@ from camctl.errors import CamctlError, UsageError
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.controls import Layout
 from camctl.livestream.display import Display, rgb_of_cells
-from camctl.livestream.planning import result_rate
 from camctl.livestream.result import LiveResult
 from camctl.livestream.stream import Live, live
 from camctl.profiles.calibrated import open_camera
@@ -142,7 +141,7 @@ class VideoCapture:
         values = {
             _WIDTH: self._shape[1] // half,
             _HEIGHT: self._shape[0] // half,
-            _FPS: 0.0 if live.plan is None else result_rate(live.controls, live.plan.settings),
+            _FPS: 0.0 if live.plan is None else live.planner.rate(live.plan.settings),
             _POS_MSEC: 0.0 if result is None else 1000 * result.time_s,
             _POS_FRAMES: 0 if result is None else result.number,
             _FORMAT: _sample_type(self._bits, 3 if has_colours else 1),

@@ -70,7 +70,7 @@ def test_it_streams_at_the_rate_of_the_camera_below(faults: str) -> None:
         below = camera.camera  # type: ignore[attr-defined]
         truth = below.scene.irradiance
         request = camctl.CaptureRequest(base_s=0.004, ratios=(1, 4), dynamic_range=256)
-        with camctl.live(camera, request) as live:
+        with camctl.live(camera, request, fps=2) as live:
             some = list(islice(live, 3))
             before = below.device.upcoming
             some += islice(live, 40)
@@ -83,6 +83,34 @@ def test_it_streams_at_the_rate_of_the_camera_below(faults: str) -> None:
     last = some[-1]
     bright = truth > 0.05 * truth.max()
     assert np.median(last.irradiance[bright] / truth[bright]) == pytest.approx(1, abs=0.03)
+
+
+@pytest.mark.parametrize("fps", [None, 20.0, 30.0])
+def test_its_rate_is_that_of_the_camera_below(fps: float | None) -> None:
+    """It was opened for 10 frames a second: its longest exposure is longer than 1/20 s."""
+    options = {"scene": "ramp", "size": "64x48", "range": "low", "bits": "8"}
+    with camctl.open_camera("effective:sim", options) as camera:
+        assert isinstance(camera, StreamingEffectiveCamera)
+        assert max(each.time_s for each in camera.plan.settings) > 1 / 20
+        with camctl.live(camera, fps=fps) as live:
+            results = list(islice(live, 31))
+            stated = live.planner.rate(results[-1].plan.settings)
+            made_of = camera.settings_below(results[-1].plan.settings)
+    wanted = live.planner.fps
+    assert wanted == (fps or 10)
+    assert max(each.time_s for each in made_of) <= 1.02 / wanted
+    taken_s = results[-1].time_s - results[0].time_s
+    assert 30 / taken_s == pytest.approx(stated, rel=0.05)
+    assert stated >= wanted * 0.98
+
+
+def test_a_rate_above_that_of_the_camera_below_is_refused() -> None:
+    options = {"scene": "ramp", "size": "64x48", "range": "low", "bits": "8"}
+    with (
+        camctl.open_camera("effective:sim", options) as camera,
+        pytest.raises(CamctlError, match=r"40 results a second .* the camera sends 30"),
+    ):
+        camctl.live(camera, fps=40)
 
 
 def test_opencv_s_class_takes_it() -> None:
