@@ -55,6 +55,15 @@ def test_text_output_states_delay_consequence_and_file(run: Run) -> None:
         assert "delay in " in shown
 
 
+def test_a_delay_below_0_costs_no_frame(run: Run, tmp_path: Path) -> None:
+    """The frame that is being exposed has the setting already."""
+    sensor = {**load_sensor("standard").model_dump(mode="json"), "delay_frames": -1}
+    (tmp_path / "early.json").write_text(json.dumps(sensor))
+    ran = run("calibrate", "delay", *SMALL, "--sensor", str(tmp_path / "early.json"))
+    assert "-1 frames, in 12 trials" in ran.out
+    assert "n exposures take n frames" in ran.out
+
+
 def test_profile_holds_several_modes_of_one_camera(run: Run) -> None:
     for size in ("64x48", "32x24"):
         assert run("calibrate", "delay", "-O", f"size={size}", "--trials", "4").status == 0

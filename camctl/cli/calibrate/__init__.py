@@ -97,7 +97,8 @@ def _consequence(result: DelayResult) -> str:
     """Return what the delay means for the number of frames of a capture."""
     if result.frames is None:
         return f"the camera waits {result.largest} frames at each exposure"
-    return f"n exposures take n{f' + {result.frames}' if result.frames else ''} frames"
+    late = f" + {result.frames}" if result.frames > 0 else ""  # below 0: nothing is waited for
+    return f"n exposures take n{late} frames"
 
 
 @command(
