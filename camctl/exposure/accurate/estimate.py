@@ -10,8 +10,10 @@ At one gain s, v and c depend on e E alone, the light times the exposure, so tha
 gain serves for every exposure; the charge that a dark current adds in a shutter time is light to
 the quantiser, and shows nothing of E.  Samples
 are clipped normal variables with 1/12 of quantisation (EMVA 1288): noise dithers the quantiser.
-Where it does not, sums are up to some 10 % more or less accurate than this, and the exact
-distribution (`camctl.exposure.noise.predicted_mse`) has to judge.
+Near black a frame of little noise does not leave its lowest level, and contributes nothing, noise
+included (`_near_black`).  Where noise does not dither the quantiser elsewhere, sums are up to some
+10 % more or less accurate than this, and the exact distribution
+(`camctl.exposure.noise.predicted_mse`) has to judge.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.exposure.exposure_choices import AccuracyProblem
-from camctl.model.distribution import deviation, normal_cdf, quantiser_input
+from camctl.exposure.noise import DITHERS
+from camctl.model.distribution import NORMAL_REACH, deviation, normal_cdf, quantiser_input
 from camctl.model.response.camera import FloatArray
 
 NODES = 96
@@ -38,6 +41,21 @@ _STEP = 0.02
 
 _BEYOND = 8.0
 """Standard deviations above white at which a table ends: a frame shows nothing more there."""
+
+
+_PHASES = 0.25
+"""Share of a signal within which the phases of the quantiser are averaged near black, so that from
+two levels on all of them are.  The ratios of the exact levels to the estimate differ by 15 %
+with 1/12 alone, by 1.0 % with 0.25, and by 3 to 5 % with 0.05, 0.1 and 0.5, between 12 sets of the
+same shutter times at gains 1 to 8 (sensor complete, log 1:16,000).  Other shares, cameras
+and sets were not tried."""
+
+_LEAST_WIDTH = 1e-9
+"""Noise, and half widths of averages, that are less than so many levels count as this much: steps
+remain sharp, and a curve may begin with no signal at all."""
+
+_PHASE = np.linspace(-1.0, 1.0, 17)
+"""Phases that are averaged, in halves of that width."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,11 +116,16 @@ class FrameAccuracy:
         log_x = first + _STEP * np.arange(math.ceil((top - first) / _STEP) + 2)
         x = np.exp(log_x)
         slope = response.slope(x)
-        spread = np.sqrt(deviation(response, x, frame) ** 2 + 1 / 12)
+        noise_levels = deviation(response, x, frame)
+        spread = np.sqrt(noise_levels**2 + 1 / 12)
         y = quantiser_input(response, x)
         low, high = (0.5 - frame.black - y) / spread, (response.M + 0.5 - y) / spread
         inside = normal_cdf(high) - normal_cdf(low)
         variance = spread**2 * _clipped_variance(low, high)
+        near = (y < 0.5 / _PHASES) & (noise_levels < DITHERS)
+        inside[near], variance[near] = _near_black(
+            y[near], noise_levels[near], frame.black, response.M
+        )
         unit = slope / (response.M + 1) * inside  # levels of a sample for one of the linear scale
         per_electron = gain / noise.conversion_e_per_dn
         rows = [
@@ -152,6 +175,36 @@ class FrameAccuracy:
         else:
             np.fmin(error, self.largest[::step], out=error)
         return np.asarray(error.mean(axis=-1) + self.fixed, dtype=np.float64)
+
+
+def _near_black(
+    y: FloatArray, noise: FloatArray, black: int, white: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return the slope of the mean level by the signal, and the variance, of a quantised frame.
+
+    A sample is at level k or above where the noisy signal is k or more.  Both are averages over
+    signals within `_PHASES` of y, with the deviation of their mean levels from a straight line.
+
+    Args:
+        y: (F,) signals in levels
+        noise: (F,) their noise in levels
+        black: levels below 0 that a sample can have
+        white: the largest level
+    """
+    if not y.size:
+        return y, y
+    reach = 1 + NORMAL_REACH * float(noise.max())
+    first = max(1 - black, math.floor(-reach))
+    steps = np.arange(first, min(white, math.ceil((1 + _PHASES) * float(y.max()) + reach)) + 1)
+    width = np.maximum(_PHASES * y, _LEAST_WIDTH)[:, np.newaxis]
+    signal = y[:, np.newaxis] + width * _PHASE
+    spread = np.maximum(noise, _LEAST_WIDTH)[:, np.newaxis, np.newaxis]
+    above = normal_cdf((signal[..., np.newaxis] - steps) / spread)
+    mean = above.sum(axis=-1)
+    variance = above @ (2.0 * np.arange(steps.size) + 1.0) - mean**2
+    slope = (mean[:, -1] - mean[:, 0]) / (2 * width[:, 0])
+    straight = mean.mean(axis=1, keepdims=True) + slope[:, np.newaxis] * width * _PHASE
+    return slope, np.mean(variance + (mean - straight) ** 2, axis=1)
 
 
 def _clipped_variance(low: FloatArray, high: FloatArray) -> FloatArray:
