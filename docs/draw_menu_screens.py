@@ -164,7 +164,7 @@ def sheet(pictures: list[Pixels], columns: int) -> bytes:
     while len(tall) % columns:
         tall.append(np.full_like(tall[0], 60))
     rows = [np.concatenate(tall[i : i + columns], 1) for i in range(0, len(tall), columns)]
-    return png(np.concatenate(rows), level=9)
+    return png(np.concatenate(rows))
 
 
 def main() -> None:

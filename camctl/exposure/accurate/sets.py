@@ -17,7 +17,7 @@ from typing import TypeAlias
 import numpy as np
 
 from camctl.exposure.accurate.design import DesignSearch
-from camctl.exposure.accurate.estimate import FrameAccuracy
+from camctl.exposure.accurate.estimate import FEW_LEVELS, FrameAccuracy
 from camctl.exposure.accurate.frame_sets import Design
 from camctl.exposure.accurate.judge import Judge
 from camctl.exposure.accurate.least_quantisation import COUNTS, least_quantisation
@@ -116,7 +116,9 @@ class AccurateSets:
         dark, lit = deviation(problem.response, at, noise).tolist()
         self.dithered = lit >= DITHERING
         self._is_smooth = dark >= DITHERS
-        self._most = MOST_SMOOTH if self._is_smooth else MOST_JUDGED
+        self._most: int | None = MOST_SMOOTH if self._is_smooth else MOST_JUDGED
+        if problem.response.M <= FEW_LEVELS:
+            self._most = None  # the estimate says least of them, and exact ratings cost little
         frames = FrameAccuracy(problem)
         self.searches = [DesignSearch(frames, base, counts) for base in bases(problem)]
         self.judge = Judge(frames, dithered=self.dithered)
