@@ -24,7 +24,7 @@ from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.search.best import longest_base_s
 from camctl.exposure.search.front import Front
 from camctl.interface.controls import ExposureSetting
-from camctl.model.effective import MAX_EXPOSURES
+from camctl.model.effective import MOST_SEARCHED
 from camctl.model.response.desired import desired_response
 from camctl.sim.camera import SimulatedCamera
 from camctl.sim.scenes.scene import load_scene
@@ -73,7 +73,7 @@ class Adversary:
         kind = self.rng.random()
         if kind < 0.12 and len(rest) > 1:
             rest.pop(int(self.rng.integers(len(rest))))
-        elif kind < 0.24 and len(rest) < MAX_EXPOSURES - 1:
+        elif kind < 0.24 and len(rest) < MOST_SEARCHED - 1:
             reach = math.log(self.front.desired.dynamic_range)
             ratio = math.exp(self.rng.uniform(0.0, reach))
             gain = float(self.rng.choice(self.gains))
@@ -146,7 +146,7 @@ class Adversary:
         The first half of the time is divided among the starts; the best goes on for the rest.
         """
         n = len(own)
-        starts = [own, *(self.start(k) for k in (max(2, n - 2), n, min(MAX_EXPOSURES, n + 3)))]
+        starts = [own, *(self.start(k) for k in (max(2, n - 2), n, min(MOST_SEARCHED, n + 3)))]
         found = [self.climbed(each, seconds / 2 / len(starts)) for each in starts]
         levels, best = max(found, key=lambda each: each[0])
         levels, best = max((levels, best), self.climbed(best, seconds / 2), key=lambda e: e[0])
