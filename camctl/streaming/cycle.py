@@ -237,7 +237,7 @@ class StreamCycle(Generic[DataT]):
         ended: called once, at the end of the stream
     """
 
-    method = CycleMethod.AHEAD
+    method: CycleMethod = CycleMethod.AHEAD
 
     def __init__(
         self,

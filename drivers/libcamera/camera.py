@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from typing import Annotated, Any
@@ -15,9 +15,10 @@ from camctl.drivers.common.stream_camera import PreviewedCamera
 from camctl.drivers.libcamera.formats import RawFormat
 from camctl.drivers.libcamera.probe import SAME_GAIN, Probed, probe
 from camctl.drivers.libcamera.requests import Arrived, Requests, Stated, stated
+from camctl.drivers.libcamera.stream import RequestCycle, RequestStream
 from camctl.errors import CameraBusyError, CameraError, CameraNotFoundError, UsageError
 from camctl.interface.backends import BackendOptions, FrameShape
-from camctl.interface.camera import CameraInfo, Frame
+from camctl.interface.camera import CameraInfo, Frame, Pixels
 from camctl.interface.clock import CaptureTiming, Clock, RealClock
 from camctl.interface.controls import (
     Choices,
@@ -27,6 +28,8 @@ from camctl.interface.controls import (
     Steps,
     resting_setting,
 )
+from camctl.interface.cycle import FrameCycle
+from camctl.streaming import ControlDelay, ExposureCycle, Shot, mean_brightness
 
 DRIVER = "libcamera"
 #: Requests in flight: what picamera2 takes for video, so that no frame is lost at 30 a second.
@@ -135,16 +138,45 @@ class LibcameraCamera(PreviewedCamera):
         longest_s = max((setting.time_s for setting in settings), default=0.0)
         frames = self._requests.shoot(to_send, len(settings), is_taken, longest_s)
         for index, (setting, arrived) in enumerate(zip(settings, frames, strict=True)):
-            yield self._frame(setting, arrived, index)
+            applied_s = self._applied_s(setting, stated(arrived.metadata))
+            assert applied_s is not None  # it was taken
+            yield self._frame(setting, ExposureSetting(applied_s, setting.gain), arrived, index)
             self._check_open()
 
-    def _frame(self, requested: ExposureSetting, arrived: Arrived, index: int) -> Frame:
-        applied_s = self._applied_s(requested, stated(arrived.metadata))
-        assert applied_s is not None  # it was taken
+    def cycle(self, settings: Sequence[ExposureSetting]) -> FrameCycle:
+        """Return frames without end; see `camctl.interface.cycle.CyclingCamera`."""
+        checked = self._checked(settings)
+        delay = ControlDelay(0, self._probed.delay_frames)  # fewer where fewer requests wait
+        stream = RequestStream(self._requests, self._request, self._stated, self._ended_s)
+        self._is_shooting = True
+
+        def ended() -> None:
+            self._is_shooting = False
+            stream.close()
+
+        def frame(shot: Shot[Arrived], requested: ExposureSetting) -> Frame:
+            return self._frame(requested, shot.applied, shot.data, shot.index)
+
+        try:
+            endless = ExposureCycle(stream, delay, self._brightness, checked)
+        except BaseException:
+            ended()
+            raise
+        return RequestCycle(endless, self.controls, self._check_open, frame, ended)
+
+    def _brightness(self, arrived: Arrived) -> float:
+        return mean_brightness(self._samples(arrived), self.controls.white + 1)
+
+    def _samples(self, arrived: Arrived) -> Pixels:
+        return self._format.samples(arrived.data, self._shape, self._shift)
+
+    def _frame(
+        self, requested: ExposureSetting, applied: ExposureSetting, arrived: Arrived, index: int
+    ) -> Frame:
         return Frame(
-            pixels=self._format.samples(arrived.data, self._shape, self._shift),
+            pixels=self._samples(arrived),
             requested=requested,
-            applied=ExposureSetting(applied_s, requested.gain),
+            applied=applied,
             timestamp_s=self._ended_s(arrived.metadata),
             index=index,
             black=self.controls.black,
@@ -163,6 +195,15 @@ class LibcameraCamera(PreviewedCamera):
         if off_us > max(line_us / 2, SAME_GAIN * lines_us):
             return None
         return (lines_us if off_us <= 1 else found.time_us + 0.5) / 1e6
+
+    def _stated(self, metadata: Mapping[str, Any]) -> ExposureSetting:
+        """Return the setting that the metadata of a frame state: whole lines, a gain it holds."""
+        found, line_us = stated(metadata), self._probed.line_us
+        gain = min(self._probed.gains, key=lambda each: abs(each - found.gain))
+        lines = round((found.time_us + 0.5) / line_us)
+        return ExposureSetting(
+            lines * line_us / 1e6, gain if abs(found.gain / gain - 1) < SAME_GAIN else found.gain
+        )
 
     def _lines(self, setting: ExposureSetting) -> int:
         return round(setting.time_s * 1e6 / self._probed.line_us)

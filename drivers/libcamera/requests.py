@@ -11,7 +11,7 @@ import queue
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,10 +40,21 @@ class Stated(NamedTuple):
 
 
 class Arrived(NamedTuple):
-    """A frame: its bytes, (rows, bytes of a line), and its metadata."""
+    """A frame: its bytes, (rows, bytes of a line), its metadata, and the number of its request."""
 
     data: NDArray[np.uint8]
     metadata: Mapping[str, Any]
+    number: int
+
+
+class Exchange(Protocol):
+    """What is taken and sent while frames arrive, in the thread of picamera2."""
+
+    def takes(self, number: int, metadata: Mapping[str, Any]) -> bool:
+        """Return whether a frame that has arrived is wanted: with the number of its request."""
+
+    def to_be_sent(self) -> Stated | None:
+        """Return the setting that goes with the request that is returned now, once."""
 
 
 @dataclass
@@ -68,7 +79,14 @@ class _Sequence:
     waited: int = 0
     attempts: int = 0
 
-    def takes(self, metadata: Mapping[str, Any]) -> bool:
+    def to_be_sent(self) -> Stated | None:
+        """See `Exchange.to_be_sent`."""
+        if self.sent == len(self.to_send):
+            return None
+        self.sent += 1
+        return self.to_send[self.sent - 1]
+
+    def takes(self, number: int, metadata: Mapping[str, Any]) -> bool:
         """Return whether a frame is the next one of the list."""
         if self.done < self.count and self.is_taken(self.done, metadata):
             self.done += 1
@@ -96,7 +114,7 @@ class Requests:
 
     def __init__(self, camera: Any, name: str) -> None:
         self._camera, self._name = camera, name
-        self._sequence: _Sequence | None = None
+        self._exchange: Exchange | None = None
         self._frames: queue.Queue[Arrived | Exception] = queue.Queue(_WAITING)
         camera.pre_callback = self._arrived
 
@@ -119,9 +137,9 @@ class Requests:
             CameraTimeoutError: the camera sends nothing
             CameraProtocolError: it does not apply what it was sent
         """
-        with self._running(_Sequence(to_send, is_taken, count)):
+        with self.running(_Sequence(to_send, is_taken, count)):
             for _ in range(count):
-                yield self._next(SILENCE_S + LATEST * silence_s)
+                yield self.next(SILENCE_S + LATEST * silence_s)
 
     def metadata(self, to_send: Sequence[Stated]) -> list[Stated]:
         """Send settings, one a frame, and return what frames state until all were in force."""
@@ -137,16 +155,18 @@ class Requests:
         return found
 
     @contextmanager
-    def _running(self, sequence: _Sequence) -> Iterator[None]:
+    def running(self, exchange: Exchange) -> Iterator[None]:
+        """Take frames and send settings while the block runs."""
         self._frames = queue.Queue(_WAITING)
-        self._sequence = sequence
+        self._exchange = exchange
         try:
             yield
         finally:
-            self._sequence = None
+            self._exchange = None
             self._frames = queue.Queue(_WAITING)  # nothing waits in the other thread
 
-    def _next(self, timeout_s: float) -> Arrived:
+    def next(self, timeout_s: float) -> Arrived:
+        """Return the next frame that was taken; raises as `shoot` does."""
         found: list[Arrived | Exception] = []
 
         def wait(wait_s: float) -> bool:
@@ -167,23 +187,27 @@ class Requests:
 
     def _arrived(self, request: Any) -> None:
         """Take a frame and send a setting; picamera2 calls this in its thread for each request."""
-        sequence = self._sequence
-        if sequence is None:
+        exchange = self._exchange
+        if exchange is None:
             return
         try:
-            metadata = request.get_metadata()
-            if sequence.takes(metadata):
-                self._put(Arrived(request.make_array("raw"), metadata))
+            metadata, number = request.get_metadata(), int(request.request.sequence)
+            is_taken = exchange.takes(number, metadata)
             # What is set goes with the next request: settings that wait would be overwritten.
-            if sequence.sent < len(sequence.to_send) and not self._camera.controls.make_dict():
-                setting = sequence.to_send[sequence.sent]
-                self._camera.set_controls(
-                    {"ExposureTime": setting.time_us, "AnalogueGain": setting.gain}
-                )
-                sequence.sent += 1
+            if not self._camera.controls.make_dict():
+                setting = exchange.to_be_sent()
+                if setting is not None:
+                    self.send(setting)
+            # Then the program has the time of a frame to choose the next setting.
+            if is_taken:
+                self._put(Arrived(request.make_array("raw"), metadata, number))
         except Exception as error:  # in this thread it would end the stream unseen
-            self._sequence = None
+            self._exchange = None
             self._put(error)
+
+    def send(self, setting: Stated) -> None:
+        """Send a setting with the next request that is returned to the camera."""
+        self._camera.set_controls({"ExposureTime": setting.time_us, "AnalogueGain": setting.gain})
 
     def _put(self, frame: Arrived | Exception) -> None:
         """Give a frame to the program; while it does not take it, the camera waits."""

@@ -143,6 +143,7 @@ class Request:
         self.metadata: dict[ControlId, Any] = {}
         self.controls: dict[ControlId, Any] = {}
         self.status = RequestStatus.Pending
+        self.sequence = 0  # of the last time that it was queued
 
     def add_buffer(self, stream: Any, buffer: FrameBuffer) -> None:
         self.buffers[stream] = buffer
@@ -167,6 +168,7 @@ class FakePi:
         lost: numbers of frames whose buffers never come back with success
         ignored: numbers of requests whose controls are lost
         is_silent: True: no frame comes any more
+        states_late: True: metadata state the exposure of the frame before
         sensor, bits: of `camctl.sim`, with samples of so many bits
         light: relative irradiance that it sees, (rows, columns)
     """
@@ -180,6 +182,7 @@ class FakePi:
     lost: tuple[int, ...] = ()
     ignored: tuple[int, ...] = ()
     is_silent: bool = False
+    states_late: bool = False
     sensor: str = "phone"
     bits: int = 12
     light: NDArray[np.float32] | None = None
@@ -190,6 +193,7 @@ class FakePi:
         self.frame = self.request = 0
         self.applied = {CONTROLS["ExposureTime"]: 5000, CONTROLS["AnalogueGain"]: 1.0}
         self.coming: deque[dict[ControlId, Any]] = deque()
+        self.last = (0.0, 1.0)  # time, s, and gain of the last frame
         self.controls: dict[str, Any] = {}
         self.is_acquired = False
         unpacked = f"SRGGB{self.bits}"
@@ -229,6 +233,7 @@ class FakeCamera:
     def __init__(self, board: FakePi, manager: CameraManager) -> None:
         self.board, self._manager = board, manager
         self.thread: threading.Thread | None = None
+        self.sequence = 0
         self.configuration: Configuration | None = None
 
     @property
@@ -291,6 +296,7 @@ class FakeCamera:
             self.board.queued.popleft().status = RequestStatus.Cancelled
 
     def queue_request(self, request: Request) -> None:
+        request.sequence, self.sequence = self.sequence, self.sequence + 1
         self.board.queued.append(request)
 
     def _take(self, controls: dict[ControlId, Any]) -> None:
@@ -310,7 +316,8 @@ class FakeCamera:
         board.request += 1
         board.coming.append({k: v for k, v in sent.items() if k in board.applied})
         board.applied |= board.coming.popleft()
-        time_s, gain = board.in_force()
+        before, (time_s, gain) = board.last, board.in_force()
+        board.last = time_s, gain
         board.now_s += max(time_s, board.interval_us / 1e6)
         pixels = board.seen.expose(time_s, gain, board.frame)
         assert self.configuration is not None
@@ -322,9 +329,10 @@ class FakeCamera:
                 with mmap.mmap(buffer.planes[0].fd, stream.frame_size) as memory:
                     memory[: data.size] = data.tobytes()
         board.frame += 1
+        stated_s, stated_gain = before if board.states_late else board.last
         request.metadata = {
-            CONTROLS["ExposureTime"]: int(time_s * 1e6),
-            CONTROLS["AnalogueGain"]: float(np.float32(gain)),
+            CONTROLS["ExposureTime"]: int(stated_s * 1e6),
+            CONTROLS["AnalogueGain"]: float(np.float32(stated_gain)),
             CONTROLS["SensorTimestamp"]: int(board.now_s * 1e9),
             CONTROLS["SensorBlackLevels"]: (board.black << 16 - board.bits,) * 4,
         }

@@ -28,6 +28,7 @@ from camctl.errors import (
 )
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureSetting, Layout
+from camctl.interface.cycle import CycleMethod
 from camctl.testing.conformance import CameraConformance
 
 needs_picamera2 = pytest.mark.skipif(
@@ -271,3 +272,59 @@ def test_pixels_are_those_of_the_sensor(opened: Opened) -> None:
     time_s, gain = board.in_force()
     same = [board.seen.expose(time_s, gain, number) for number in range(board.frame)]
     assert any(np.array_equal(frame.pixels, each) for each in same)
+
+
+@needs_picamera2
+@pytest.mark.parametrize(
+    "board",
+    [
+        *({"delay": delay} for delay in (0, 1, 3, 6)),
+        {"lost": (230, 231, 250)},
+        {"ignored": (240, 255)},
+        {"states_late": True},
+    ],
+    ids=str,
+)
+def test_frames_of_a_cycle_have_the_exposures_that_they_state(
+    opened: Opened, board: dict[str, Any]
+) -> None:
+    """Those of metadata that state another frame's, too: there each setting is waited for."""
+    states_late = board.pop("states_late", False)
+    pi = FakePi(**board)
+    camera = opened(pi)
+    pi.states_late = states_late
+    times_s = [camera.controls.time_s.nearest(each) for each in (0.001, 0.002, 0.004)]
+    settings = [ExposureSetting(each) for each in times_s]
+    expected = shot(camera, times_s[1])[0] if not states_late else None
+    with closing(camera.cycle(settings)) as cycle:
+        frames = [next(cycle) for _ in range(30)]
+        begun = pi.frame
+        later = [next(cycle) for _ in range(9)]
+        used = pi.frame - begun
+        plan = cycle.exchange(settings[:2])
+        frames += [*later, *(next(cycle) for _ in range(12))]
+    rates = [light(frame) / frame.applied.time_s for frame in frames]
+    assert rates == pytest.approx([np.median(rates)] * len(rates), rel=0.02)
+    if expected is not None:
+        assert np.median(rates) == pytest.approx(light(expected) / times_s[1], rel=0.02)
+    for frame in frames:
+        assert frame.requested.time_s == pytest.approx(frame.applied.time_s, rel=1e-6)
+        assert frame.place is not None
+    numbers = [frame.place.number for frame in frames if frame.place is not None]
+    assert numbers == sorted(set(numbers))
+    assert {frame.index for frame in frames[-6:]} == {0, 1}
+    assert frames[-1].place is not None
+    assert frames[-1].place.plan == plan
+    # All frames are used once the metadata are believed; else some pass at each setting.
+    assert used > 2 * len(later) if states_late else used <= len(later) + 6
+
+
+@needs_picamera2
+def test_a_cycle_ends_and_the_camera_shoots_again(opened: Opened) -> None:
+    camera = opened(FakePi())
+    with closing(camera.cycle([ExposureSetting(camera.controls.time_s.nearest(0.002))])) as cycle:
+        assert cycle.method is CycleMethod.REQUEST
+        next(cycle)
+        with pytest.raises(CameraError):
+            list(camera.shoot([]))
+    assert len(shot(camera, 0.001, 0.004)) == 2
