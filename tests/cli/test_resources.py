@@ -77,7 +77,7 @@ def test_rows_of_combinations_hold_each_pair_of_values() -> None:
 
 def test_combinations_come_from_the_options_of_the_command() -> None:
     values = combined_values("solve")
-    assert {"1", "64"} <= set(values["--exposures"])
+    assert {"1", "16", "64"} <= set(values["--exposures"])
     assert "0.2" in values["--jitter"]
     assert values["--certificate"] == [""]
     assert {"--exposures": "16", "--bits": "16"}.items() <= dict(largest("solve")).items()

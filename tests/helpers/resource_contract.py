@@ -52,6 +52,7 @@ from camctl.cli.parameter_types import (
     WholeNumber,
 )
 from camctl.errors import CamctlError
+from camctl.model.effective import MOST_SEARCHED
 
 MOST_BYTES = 500 << 20
 
@@ -184,19 +185,25 @@ def _accepted(kind: Any, is_flag: bool) -> Iterator[str]:
             yield text
 
 
+#: Values that cost the most, where a larger one is refused: of more exposures none are searched.
+LARGEST = {"--exposures": str(MOST_SEARCHED)}
+
+
 def combined_values(command: str) -> dict[str, list[str]]:
     """Return the values of each option of a command that are combined."""
     values: dict[str, list[str]] = {}
     for option in COMMANDS[command].params:
         if isinstance(option, click.Option) and not UNCOMBINED & set(option.opts):
             values.update(accepted(option, command))
+    for name in LARGEST.keys() & values.keys():
+        values[name] = [*dict.fromkeys([*values[name], LARGEST[name]])]
     return {name: texts for name, texts in values.items() if f"{command} {name}" not in ENDLESS}
 
 
 def largest(command: str) -> Row:
     """Return the whole numbers of a command at the largest values that their types accept."""
     return tuple(
-        (option.opts[-1], str(option.type._most))
+        (option.opts[-1], LARGEST.get(option.opts[-1], str(option.type._most)))
         for option in COMMANDS[command].params
         if isinstance(option.type, WholeNumber)
         and option.type._most is not None
