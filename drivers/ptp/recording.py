@@ -19,10 +19,12 @@ from camctl.errors import CameraError
 
 #: Fewer characters are no name of anybody, and bytes of numbers may look like them.
 _LEAST_TEXT = 4
-#: Texts of PTP are UTF-16 with a zero at the end, those of some makers bytes.  In bytes, eight in a
-#: row are no numbers.
+#: Texts of PTP are UTF-16 with a zero at the end, and begin with the number of characters, the zero
+#: counted (PIMA 15740:2000, 5.3.2.4); those of some makers are without the number, or UTF-8.  Of
+#: UTF-8, eight characters in a row are no numbers.
 _UTF16 = re.compile(rb"(?:[\x20-\x7e]\0){%d,}(?=\0\0)" % _LEAST_TEXT)
-_BYTES = re.compile(rb"[\x20-\x7e]{8,}")
+_UTF8 = re.compile(rb"(?:[\x20-\x7e]|[\xc2-\xdf][\x80-\xbf]|[\xe0-\xef][\x80-\xbf]{2}){8,}")
+_LEAST_COUNTED = 3
 #: Sizes of pictures, which some cameras have as texts.
 _SIZE = re.compile(rb"\d+x\d+")
 
@@ -85,11 +87,12 @@ class RecordingTransport:
     def _keep(self, kind: str, found: Container) -> None:
         payload = found.payload
         if found.kind == DATA:
-            is_information = self._operation == Op.GET_DEVICE_INFO
-            if is_information:
+            is_read = False
+            if self._operation == Op.GET_DEVICE_INFO:
                 with suppress(CameraError):
                     self._hide(DeviceInfo.parse(payload).serial)
-            payload = self._without_private(payload, keep_texts=is_information)
+                    is_read = True  # else its serial number is among its texts
+            payload = self._without_private(payload, keep_texts=is_read)
         self.packets.append({kind: [found.kind, found.code, payload.hex()]})
 
     def _hide(self, serial: str) -> None:
@@ -101,8 +104,8 @@ class RecordingTransport:
             data = data.replace(each, _masked(each))
         if keep_texts:
             return data
-        data = _UTF16.sub(lambda found: _masked(found[0]), data)
-        return _BYTES.sub(lambda found: _masked(found[0]), data)
+        data = _UTF16.sub(lambda found: _masked(found[0]), _without_counted(data))
+        return _UTF8.sub(lambda found: _masked(found[0]), data)
 
 
 class _RecordedCamera(PtpCamera):
@@ -143,8 +146,26 @@ def times_of(camera: PtpCamera) -> list[float]:
     return [float(each) for each in control.between(control.minimum, control.maximum, 1000)]
 
 
+def _without_counted(data: bytes) -> bytes:
+    """Return data whose texts with a number of characters before them are masked, in any script."""
+    hidden, place = bytearray(data), 0
+    while place < len(data):
+        count = data[place]
+        begin, end = place + 1, place + 1 + 2 * (count - 1)
+        text = data[begin:end].decode("utf-16-le", "replace")
+        is_ended = count > _LEAST_COUNTED and data[end : end + 2] == b"\0\0"
+        # Of numbers of 16 bits that begin a byte later, all lower bytes may be 0.
+        is_text = is_ended and text.isprintable() and any(data[begin:end:2])
+        if is_text and not _SIZE.fullmatch(text.encode("utf-8")):
+            masked = "".join("x" if each.isalnum() else each for each in text)
+            units = masked.encode("utf-16-le")
+            hidden[begin:end] = units + b"x\0" * ((end - begin - len(units)) // 2)
+        place = end + 2 if is_text else place + 1
+    return bytes(hidden)
+
+
 def _masked(text: bytes) -> bytes:
     """Return a text whose letters and digits are x; sizes of pictures stay."""
     if _SIZE.fullmatch(text.replace(b"\0", b"")):
         return text
-    return re.sub(rb"[A-Za-z0-9]", b"x", text)
+    return re.sub(rb"[A-Za-z0-9\x80-\xff]", b"x", text)

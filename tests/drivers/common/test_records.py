@@ -6,6 +6,7 @@ Files that owners have sent lie in `tests/drivers/records`: each is opened again
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from replayed_records import NodeReplay, ReplayedCamera
 from v4l2_model import Model
 
 from camctl.drivers.ptp import recording as ptp
+from camctl.drivers.ptp.codes import Op
+from camctl.drivers.ptp.transport import DATA, Container
 from camctl.drivers.v4l2 import recording as v4l2
 from camctl.drivers.v4l2.node import Node
 from camctl.errors import CameraError
@@ -75,6 +78,39 @@ def test_texts_of_an_owner_become_x(data: str, hidden: str) -> None:
     recording = ptp.RecordingTransport(ReplayedCamera({"usb": _USB, "packets": []}).replay)
     found = recording._without_private(data.encode("latin-1"), keep_texts=False)
     assert found.decode("latin-1") == hidden
+
+
+@pytest.mark.parametrize(
+    "name", ["Ann", "José", "Müller", "Jürgen Groß", "山田太郎", "Иван Петров"]
+)
+def test_names_in_any_script_are_hidden(name: str) -> None:
+    recording = ptp.RecordingTransport(ReplayedCamera({"usb": _USB, "packets": []}).replay)
+    text = name.encode("utf-16-le")
+    data = b"\x1e\x50\xff\xff\1" + bytes([len(name) + 1]) + text + b"\0\0\0\0\0"
+    found = recording._without_private(data, keep_texts=False)
+    assert len(found) == len(data)
+    shown = found[6 : 6 + len(text)].decode("utf-16-le")
+    assert shown == "".join(" " if each == " " else "x" for each in name)
+    many = (name + " " + name + " " + name).encode()
+    left = recording._without_private(b"\0" + many + b"\0", keep_texts=False)
+    assert set(left) <= set(b"\0x ")
+
+
+def test_texts_of_information_that_cannot_be_read_are_hidden() -> None:
+    text = bytes([9]) + "12345678".encode("utf-16-le") + b"\0\0"
+    recording = ptp.RecordingTransport(ReplayedCamera({"usb": _USB, "packets": []}).replay)
+    recording._operation = Op.GET_DEVICE_INFO
+    recording._keep("received", Container(DATA, Op.GET_DEVICE_INFO, 1, text))
+    (packet,) = recording.packets
+    assert packet["received"][2] == (bytes([9]) + b"x\0" * 8 + b"\0\0").hex()
+
+
+def test_numbers_are_kept() -> None:
+    recording = ptp.RecordingTransport(ReplayedCamera({"usb": _USB, "packets": []}).replay)
+    times = [1, 2, 4, 100, 125, 256, 512, 1024, 0, 3200]
+    for kind in ("<H", "<I"):
+        data = b"".join(struct.pack(kind, each) for each in [len(times), *times, 0])
+        assert recording._without_private(data, keep_texts=False) == data
 
 
 _USB = {"vendor": 0x04A9, "product": 1}
