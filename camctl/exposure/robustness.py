@@ -10,7 +10,13 @@ import numpy as np
 
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.exposure.objective import xi
-from camctl.model.effective import EffectiveCamera, check_exposures, effective_levels
+from camctl.model.effective import (
+    MOST_SEARCHED,
+    EffectiveCamera,
+    check_count,
+    check_exposures,
+    effective_levels,
+)
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import DesiredResponse
@@ -105,6 +111,7 @@ def sensitivity(
     """
     values = np.array(check_exposures(exposures))
     n = values.size
+    check_count(n, MOST_SEARCHED)  # of more it would take minutes
     G = n * response.M if levels_wanted is None else levels_wanted
 
     def quality(camera: EffectiveCamera) -> tuple[float, float]:

@@ -154,7 +154,7 @@ def test_hundreds_of_plans_leave_nothing_behind(
             assert camctl.plan_capture(camera, request).exposures
 
     check_series(plan, 700)
-    assert len(list((tmp_path / "exposure").iterdir())) == 351
+    assert len(list((tmp_path / "exposure").iterdir())) == 2 * 351  # settings, and their levels
 
 
 @pytest.mark.parametrize(
