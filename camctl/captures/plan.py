@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -78,10 +78,17 @@ def plan_for(controls: ExposureControls, search: Search, light: Light | None) ->
     levels_wanted = request.levels_wanted or float(len(ratios) * real.M)
     objective, exposures = Objective(levels_wanted), controls.relative_exposures(settings)
     noise = None if controls.noise is None else controls.frame_noise(settings)
+
+    def levels_of(some: Sequence[float]) -> float:
+        """Return the effective levels of exposures, kept where there is a front."""
+        if chosen.front is not None and noise is not None:
+            return chosen.front.levels_with(some, noise)
+        return evaluate(real, desired, some, objective=objective, noise=noise).effective_levels
+
     if chosen.front is not None and noise is not None:
         levels = chosen.levels
         if levels is None or real.M <= _MOST_EXACT:  # else as exact, in a tenth of the time
-            levels = chosen.front.levels_with(exposures, noise)
+            levels = levels_of(exposures)
         expected = evaluate(real, desired, exposures, objective=objective)
         expected = replace(expected, effective_levels=levels)
     else:
@@ -112,12 +119,7 @@ def plan_for(controls: ExposureControls, search: Search, light: Light | None) ->
     )
     possible = expected.effective_levels
     if noise is None or not np.allclose(exposures, ratios, rtol=SAME_LEVELS, atol=0.0):
-        if chosen.front is None or noise is None:
-            possible = evaluate(
-                real, desired, ratios, objective=objective, noise=noise
-            ).effective_levels
-        else:
-            possible = chosen.front.levels_with(ratios, noise)
+        possible = levels_of(ratios)
     return replace(
         plan,
         findings=(

@@ -28,7 +28,7 @@ from camctl.interface.controls import (
     Steps,
     resting_setting,
 )
-from camctl.interface.cycle import FrameCycle
+from camctl.interface.cycle import FrameCycle, check_not_empty
 from camctl.streaming import ControlDelay, ExposureCycle, Shot, mean_brightness
 
 DRIVER = "libcamera"
@@ -145,6 +145,7 @@ class LibcameraCamera(PreviewedCamera):
 
     def cycle(self, settings: Sequence[ExposureSetting]) -> FrameCycle:
         """Return frames without end; see `camctl.interface.cycle.CyclingCamera`."""
+        check_not_empty(settings)
         checked = self._checked(settings)
         delay = ControlDelay(0, self._probed.delay_frames)  # fewer where fewer requests wait
         stream = RequestStream(self._requests, self._request, self._stated, self._ended_s)
@@ -157,11 +158,7 @@ class LibcameraCamera(PreviewedCamera):
         def frame(shot: Shot[Arrived], requested: ExposureSetting) -> Frame:
             return self._frame(requested, shot.applied, shot.data, shot.index)
 
-        try:
-            endless = ExposureCycle(stream, delay, self._brightness, checked)
-        except BaseException:
-            ended()
-            raise
+        endless = ExposureCycle(stream, delay, self._brightness, checked)
         return RequestCycle(endless, self.controls, self._check_open, frame, ended)
 
     def _brightness(self, arrived: Arrived) -> float:

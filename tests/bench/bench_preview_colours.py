@@ -9,8 +9,8 @@ them: LittleCMS converts them by the ICC profile of one of them.
 The preview changes brightness, for the whole picture and place by place, so that no photograph is
 as bright as it everywhere.  So 8 x 8 pixels are compared with the two photographs between whose
 luminances their own lies: the camera's picture of that luminance is interpolated between them.
-What is left is colour: the hue in CIELAB, degrees, and the light of R, G and B at one luminance,
-stops, of the channel that differs most.
+The remaining difference is that of colour: the hue in CIELAB, degrees, and the light of R, G and B
+at one luminance, stops, of the channel that differs most.
 
 A patch counts where the preview and both photographs expose it well: nothing moved there, and the
 photographs have no sample at an end of the scale.  The errors of its means (noise of the samples,
