@@ -129,15 +129,15 @@ def take_together(
 
         def report(progress: CaptureProgress) -> None:
             nonlocal is_ready
-            if progress.stage == "shooting" and not is_ready:
-                is_ready = True
-                try:
-                    ready.wait()
-                except threading.BrokenBarrierError:
-                    raise _OtherFailedError("another camera has failed") from None
             latest[index] = progress_view(progress)
             if len(latest) == len(takes):
                 on_progress(min(latest.values(), key=lambda each: each.share))
+            if progress.stage == "shooting" and not is_ready:
+                is_ready = True
+                try:
+                    ready.wait()  # nothing that takes time comes between it and the first frame
+                except threading.BrokenBarrierError:
+                    raise _OtherFailedError("another camera has failed") from None
 
         try:
             made = capture(

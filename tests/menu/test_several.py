@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +111,32 @@ def test_no_camera_begins_before_all_are_ready(
     assert min(each[0] for each in times) >= late_s[0]
 
 
+def test_nothing_that_takes_time_comes_between_the_first_frames(
+    start: Callable[..., tuple[CameraJob, Cameras]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job, cameras = start(a={}, b={}, c={})
+    plan = job.plan(LOG, never)
+    events: list[str] = []
+    all_asked = threading.Barrier(len(cameras))
+
+    def asked(shoot: Callable[[Any], Any], settings: Any) -> Any:
+        events.append("asked")
+        all_asked.wait(10)  # no frame arrives before all were asked
+        return shoot(settings)
+
+    for camera in cameras.values():
+        monkeypatch.setattr(camera, "shoot", partial(asked, camera.shoot))
+
+    def slow(_: Progress) -> None:
+        time.sleep(0.05)
+        events.append("shown")
+
+    job.shoot(plan, slow, never)
+    first = events.index("asked")
+    assert events[first : first + 3] == ["asked"] * 3
+    assert "shown" in events[:first]
+
+
 def test_no_camera_begins_where_one_of_them_cannot(
     start: Callable[..., tuple[CameraJob, Cameras]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -145,7 +173,7 @@ def test_all_end_where_the_capture_is_cancelled(
     plan = job.plan(LOG, never)
     seen: list[Progress] = []
     with pytest.raises(InterruptedCaptureError):
-        job.shoot(plan, seen.append, lambda: len(seen) > 3)
+        job.shoot(plan, seen.append, lambda: any(each.stage == "shooting" for each in seen))
     assert [each.is_complete for each in job.captures()] == [False, False]
 
 
