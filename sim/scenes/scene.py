@@ -26,7 +26,6 @@ from camctl.sim.data_files import (
 )
 from camctl.sim.scenes.drawings import DRAWINGS, Drawing, wheel
 from camctl.sim.scenes.motion import Lamps, PwmLamps, Target
-from camctl.stills.radiance_map import SUFFIXES, read_map, read_shape
 from camctl.system.input_files import exists
 
 DEFAULT_SCENE = "tile-floor"
@@ -264,6 +263,8 @@ def load_scene(
     built_in = built_in_files("scenes")
     if name not in built_in:
         if path.suffix and exists(name):
+            from camctl.stills.radiance_map import SUFFIXES
+
             known = ", ".join((*SUFFIXES, ".json"))
             raise DataError(f"{path}: unknown file type {path.suffix}", hint=f"known: {known}")
         raise unknown_name("scene", name, built_in)
@@ -272,7 +273,11 @@ def load_scene(
 
 
 def _is_map(path: str | Path) -> bool:
-    return Path(path).suffix.lower() in SUFFIXES
+    if not (suffix := Path(path).suffix.lower()):
+        return False  # what reads maps takes memory that a built-in scene does without
+    from camctl.stills.radiance_map import SUFFIXES
+
+    return suffix in SUFFIXES
 
 
 def _from_file(
@@ -310,6 +315,8 @@ def _from_file(
 
 
 def _from_map(path: Path, shape: tuple[int, int] | None) -> Scene:
+    from camctl.stills.radiance_map import read_map, read_shape
+
     found = read_shape(path)
     check_shape(str(path), found, shape)
     _check_memory(str(path), found, _READING_BYTES_PER_PIXEL)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import subprocess
 import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from datetime import datetime
@@ -381,3 +382,22 @@ def test_focus_falls_where_the_picture_is_blurred() -> None:
     assert focus_value(blurred) < 0.8 * focus_value(sharp)
     assert focus_value(3 * sharp) == pytest.approx(focus_value(sharp), rel=1e-5)
     assert focus_value(np.zeros((4, 4))) == 0
+
+
+def test_what_ready_does_without_is_not_loaded(tmp_path: Path) -> None:
+    """It would take memory of a board for as long as the menu waits."""
+    without = ("OpenEXR", "PIL", "camctl.captures.sequencer", "camctl.stills", "cv2", "scipy")
+    code = f"""
+import sys
+from pathlib import Path
+from camctl.menu.camera_job import CameraJob
+from camctl.sim.backend import SimulatedBackend
+job = CameraJob(lambda _: (SimulatedBackend().open("", {{}}), {{}}), Path("."), Path("menu.json"))
+job.open("")
+assert job.meter().time_s
+print([name for name in {without} if name in sys.modules])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    assert done.stdout.strip() == "[]"
