@@ -13,8 +13,6 @@ from camctl.records.report import UnfinishedCapture
 #: A frame contradicts the metered light if this share of its samples is saturated, beyond those
 #: that were expected to be: less may be noise or blooming near saturation, or a lamp.
 _BEYOND_METERED = 0.6
-#: Share of a picture that is most of it.
-_MOST = 0.5
 #: Largest factor between two frames that lamps may explain.
 _LAMPS = (1 + LAMP_DEPTH) / (1 - LAMP_DEPTH)
 #: Exposures up to this factor count as the same.
@@ -45,7 +43,7 @@ def judge(
     certain = [
         (k, check)
         for k, check in wrong
-        if check.contradicts and _is_no_movement(check, exposures_exact=exposures_exact)
+        if check.shows_another_exposure(exposures_exact=exposures_exact)
     ]
     mends: dict[str, Any] = {}
     if not capture.request.estimate_ratios:
@@ -77,17 +75,6 @@ def judge(
         for k, check in wrong
         if not check.contradicts
     ]
-
-
-def _is_no_movement(check: RatioCheck, *, exposures_exact: bool) -> bool:
-    """Return whether frames contradict each other by one ratio, or in most of the picture.
-
-    Exposures that are not exact were compared before, so that saturated samples alone are things
-    that moved.
-    """
-    if check.is_of_whole_picture and (exposures_exact or check.measured is not None):
-        return True
-    return check.compared * check.contradicting > _MOST
 
 
 def _brighter_than_metered(capture: UnfinishedCapture) -> list[Finding]:

@@ -19,6 +19,9 @@ SIGNIFICANCE = 0.01
 """Probability that noise alone makes a capture a finding of one kind, at most: it is divided over
 the tests of a capture (Bonferroni)."""
 
+#: Share of a picture that is most of it.
+_MOST = 0.5
+
 #: Share of the compared samples that may have changed by another ratio than most, for a wrong
 #: exposure; with more, only parts of the picture disagree.
 _MOST_MOVED = 0.5
@@ -82,6 +85,18 @@ class RatioCheck(ReportModel):
         Then many samples were compared, and most of them changed by one ratio.
         """
         return not self.agrees and self.is_certain and self.is_one_ratio
+
+    def shows_another_exposure(self, *, exposures_exact: bool) -> bool:
+        """Return whether frames contradict each other by one ratio, or in most of the picture.
+
+        Exposures that are not exact were compared before, so that saturated samples alone are
+        things that moved.
+        """
+        if not self.contradicts:
+            return False
+        if self.is_of_whole_picture and (exposures_exact or self.measured is not None):
+            return True
+        return self.compared * self.contradicting > _MOST
 
 
 def least_errors(checks: Sequence[RatioCheck | None]) -> list[float]:

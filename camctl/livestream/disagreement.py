@@ -102,7 +102,7 @@ class Disagreement:
 
 
 def contradict(controls: ExposureControls, frames: Sequence[Frame]) -> bool:
-    """Return whether most of a picture contradicts the exposures of its frames."""
+    """Return whether frames show other exposures than theirs, as a picture of them would say."""
     check = NeighbourCheck(controls.levels, controls.black, controls.layout, len(frames))
     noise = controls.frame_noise([frame.applied for frame in frames])
     samples = [
@@ -112,6 +112,8 @@ def contradict(controls: ExposureControls, frames: Sequence[Frame]) -> bool:
     exposures = [controls.exposure(frame.applied) for frame in frames]
     order = sorted(range(len(frames)), key=exposures.__getitem__)
     return any(
-        check.compare(samples[a], samples[b], exposures[b] / exposures[a]).contradicts
+        check.compare(
+            samples[a], samples[b], exposures[b] / exposures[a]
+        ).shows_another_exposure(exposures_exact=controls.exposures_exact)
         for a, b in pairwise(order)
     )
