@@ -66,8 +66,19 @@ def plan_capture(
     return plan_for(camera.controls, search, light)
 
 
-def plan_for(controls: ExposureControls, search: Search, light: Light | None) -> CapturePlan:
+def plan_for(
+    controls: ExposureControls,
+    search: Search,
+    light: Light | None,
+    whole: ExposureControls | None = None,
+) -> CapturePlan:
     """Return the plan for a light that is limited by the request of `search`.
+
+    Args:
+        controls: what may be set
+        search: for the request
+        light: of the scene; None where the base exposure is given
+        whole: what the camera could set, where `controls` are a part of it
 
     Raises:
         UsageError, CaptureError: no settings of the camera meet the request
@@ -126,7 +137,7 @@ def plan_for(controls: ExposureControls, search: Search, light: Light | None) ->
             *controls.response_findings,
             *controls.findings,
             *(Finding(code="curve_repaired", details={"repair": each}) for each in real.notes),
-            *setting_findings(controls, request, plan, light, possible),
+            *setting_findings(whole or controls, request, plan, light, possible),
         ),
     )
 

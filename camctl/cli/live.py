@@ -27,7 +27,7 @@ from camctl.cli.request_options import RequestOptions, request_options
 from camctl.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from camctl.findings import Finding
     from camctl.livestream.outputs import Output
@@ -110,23 +110,26 @@ def live(
     if as_json and is_piped:
         raise UsageError("--json cannot be combined with --output -", hint="leave one of them out")
     wanted = request.request()
+    makers = [_maker(each, look=look, every=every) for each in outputs]
     with ExitStack() as resources:
         opened = resources.enter_context(camera.in_real_time().open())
         # Files are complete; who looks wants the newest.
         policy: Any = "all" if any(each.startswith("exr:") for each in outputs) else "latest"
         results = begin(opened, wanted, fps=fps, policy=policy, reuse=True)
-        makers = []
-        for each in outputs:
-            makers.append(_output(each, results, look=look, every=every))
-            resources.callback(makers[-1].close)
         resources.enter_context(results)
         assert results.plan is not None  # it has begun
+        takers = []
+        for maker in makers:
+            takers.append(maker(results))
+            resources.callback(takers[-1].close)
         run = _Run(results)
         run.say(results.plan.findings)
         try:
             for result in results:
-                for maker in makers:
-                    maker.write(result)
+                for taker in takers:
+                    taker.write(result)
+                if not run.count:  # all outputs take results
+                    _say_addresses(takers)
                 run.add(result)
                 if run.count == most:
                     break
@@ -138,29 +141,36 @@ def live(
             print_text(run.text())
 
 
-def _output(text: str, results: Live, *, look: bool, every: int) -> Output:
-    """Return what an option names; raises `UsageError` where it is unknown or cannot be opened."""
+def _maker(text: str, *, look: bool, every: int) -> Callable[[Live], Output]:
+    """Return what opens the output that an option names, for a stream; `UsageError`: none."""
     from camctl.livestream.display import Display
     from camctl.livestream.outputs import ExrOutput, RawOutput, Y4mOutput
 
     kind, _, rest = text.partition(":")
     if kind == "http":
-        from camctl.livestream.web import PAGE_PIXELS, WebOutput
+        from camctl.livestream.web import PAGE_PIXELS, WebOutput, live_site
         from camctl.system.web_server import DEFAULT_PORT
 
-        display = Display(look=look, most=PAGE_PIXELS)
-        web = WebOutput(results, rest or str(DEFAULT_PORT), display=display)
-        print_error(f"live at {web.site.shown_url}")
-        return web
+        site = live_site(rest or str(DEFAULT_PORT))
+        return lambda live: WebOutput(live, site, Display(look=look, most=PAGE_PIXELS))
     if kind == "v4l2" and rest:
-        return _Loopback(rest, Display(look=look))
+        return lambda _: _Loopback(rest, Display(look=look))
     if text == "-":
-        return Y4mOutput(sys.stdout.buffer, Display(look=look), results)
+        return lambda live: Y4mOutput(sys.stdout.buffer, Display(look=look), live)
     if text == "raw:-":
-        return RawOutput(sys.stdout.buffer)
+        return lambda _: RawOutput(sys.stdout.buffer)
     if kind == "exr" and rest:
-        return ExrOutput(Path(rest), every)
+        return lambda _: ExrOutput(Path(rest), every)
     raise UsageError(f"unknown output {text!r}", hint=f"use {_OUTPUTS}")
+
+
+def _say_addresses(takers: Iterable[Output]) -> None:
+    """Print where pages are served."""
+    from camctl.livestream.web import WebOutput
+
+    for taker in takers:
+        if isinstance(taker, WebOutput):
+            print_error(f"live at {taker.site.shown_url}")
 
 
 class _Loopback:

@@ -31,7 +31,7 @@ from camctl.interface.controls import Choices, ExposureControls, ExposureSetting
 from camctl.interface.cycle import CycleMethod, CyclingCamera, FrameCycle, check_not_empty
 from camctl.livestream.planning import LivePlanner
 from camctl.livestream.tables import ExposureSet, SumTable, sum_tables
-from camctl.livestream.window import Window
+from camctl.livestream.window import OLDEST, Window
 from camctl.model.noise import NoiseModel
 from camctl.model.response.camera import CameraResponse
 from camctl.profiles.calibrated import open_camera
@@ -177,7 +177,10 @@ class EffectiveCamera(CameraBase):
             index=index,
             black=0,
             white=controls.white,
-            details={"exposures_s": [frame.applied.time_s for frame in window.frames]},
+            details={
+                "exposures_s": [frame.applied.time_s for frame in window.frames],
+                OLDEST: max(timestamp_s - frame.timestamp_s for frame in window.frames),
+            },
         )
 
     def _set_of(self, setting: ExposureSetting) -> tuple[ExposureSetting, ...]:

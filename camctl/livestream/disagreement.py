@@ -112,8 +112,8 @@ def contradict(controls: ExposureControls, frames: Sequence[Frame]) -> bool:
     exposures = [controls.exposure(frame.applied) for frame in frames]
     order = sorted(range(len(frames)), key=exposures.__getitem__)
     return any(
-        check.compare(
-            samples[a], samples[b], exposures[b] / exposures[a]
-        ).shows_another_exposure(exposures_exact=controls.exposures_exact)
+        check.compare(samples[a], samples[b], exposures[b] / exposures[a]).shows_another_exposure(
+            exposures_exact=controls.exposures_exact
+        )
         for a, b in pairwise(order)
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -15,6 +16,7 @@ from camctl.exposure.light import Light
 from camctl.exposure.search.best import Search
 from camctl.exposure.search.settings import at_most
 from camctl.exposure.search.wall_time import predicted_wall_s
+from camctl.findings import Finding
 from camctl.interface.camera import Camera, Frame
 from camctl.interface.controls import (
     Choices,
@@ -68,7 +70,9 @@ class LivePlanner:
         self.controls = replace(controls, time_s=_up_to(camera, 1 / fps))
         by_light = request.accuracy is None and request.time_budget_s is None
         if request.count is None and by_light:
-            request = replace(request, count=DEFAULT_COUNT)
+            # Each frame of a camera that composes its frames has several exposures.
+            count = 1 if isinstance(camera, ComposingCamera) else DEFAULT_COUNT
+            request = replace(request, count=count)
         if request.objective is None and by_light:
             # The search by accuracy takes seconds, in which the light changes.
             request = replace(request, objective=XI)
@@ -84,11 +88,11 @@ class LivePlanner:
         """Return a plan for the light that the stream shows; raises as `plan_capture` does."""
         if self.request.base_s is not None:
             return self._plan(None)
-        return self._plan(light.limited(self._search.request, self.controls))
+        return self._plan(light.limited(self._search.request, self._camera.controls))
 
     def _plan(self, light: Light | None) -> CapturePlan:
         try:
-            plan = plan_for(self.controls, self._search, light)
+            plan = plan_for(self.controls, self._search, light, self._camera.controls)
         except CaptureError as error:
             raise CaptureError(
                 f"{error.what}, with {self.fps:g} results a second",
@@ -101,16 +105,26 @@ class LivePlanner:
                 f"an exposure of {longest:.3g} s leaves fewer than {self.fps:g} results a second",
                 hint="ask for fewer results, or for shorter exposures",
             )
-        if self.controls.time_s == self._camera.controls.time_s:
-            return plan
-        rate = {"results_per_second": self.fps}  # which is why the shortest exposure is shorter
-        findings = tuple(
-            each.model_copy(update={"details": each.details | rate})
-            if each.code == "base_shortened"
-            else each
-            for each in plan.findings
+        return replace(plan, findings=self._findings(plan))
+
+    def _findings(self, plan: CapturePlan) -> tuple[Finding, ...]:
+        """Return those of a plan, and one on exposures that the rate shortens.
+
+        A camera that composes its frames may have shortened its own before.
+        """
+        of_camera = self._camera.controls.findings
+        before, own = (
+            next((each for each in some if each.code == "base_shortened"), None)
+            for some in (of_camera, [each for each in plan.findings if each not in of_camera])
         )
-        return replace(plan, findings=findings)
+        if own is None or self.controls.time_s == self._camera.controls.time_s:
+            return plan.findings
+        details = own.details | {"results_per_second": self.fps}
+        if before is not None and before.value is not None and own.value is not None:
+            stops = float(before.details["stops"] or 0.0) + math.log2(before.value / own.value)
+            details |= {"stops": stops}
+        others = (each for each in plan.findings if each.code != "base_shortened")
+        return (*others, own.model_copy(update={"details": details}))
 
     def rate(self, settings: Sequence[ExposureSetting]) -> float:
         """Return the results a second of a cycle: those of a round, over the time that it takes."""

@@ -40,27 +40,32 @@ _SILENCE_S = 5.0
 _RATED = 30
 
 
+def live_site(address: str = str(DEFAULT_PORT), token: str | None = None) -> Site:
+    """Return what is served of a live camera.
+
+    Args:
+        address: ``PORT`` or ``HOST:PORT``
+        token: what a browser must know; None: the token in the environment
+
+    Raises:
+        UsageError: see `Site`
+    """
+    return Site(address, token, TOKEN_VARIABLE, "http:", "the live page", _PAGE)
+
+
 class WebOutput:
     """A server of the page, the stream and the numbers of a live camera.
 
     Args:
         live: the stream whose results are written
-        address: ``PORT`` or ``HOST:PORT``
+        site: see `live_site`
         display: makes the pictures
-        token: what a browser must know; None: the token in the environment
 
     Raises:
         UsageError: an address that cannot be used, or no OpenCV
     """
 
-    def __init__(
-        self,
-        live: Live,
-        address: str = str(DEFAULT_PORT),
-        *,
-        display: Display | None = None,
-        token: str | None = None,
-    ) -> None:
+    def __init__(self, live: Live, site: Site, display: Display | None = None) -> None:
         required_opencv("a live picture in a page")
         self._live = live
         self._display = display or Display(most=PAGE_PIXELS)
@@ -72,7 +77,7 @@ class WebOutput:
         self._result: LiveResult | None = None
         self._numbers: dict[str, Any] = {}
         self.viewers = 0  # requests that want pictures
-        self.site = Site(address, token, TOKEN_VARIABLE, "http:", "the live page", _PAGE)
+        self.site = site
         self.site.start(_Handler, output=self)
 
     def write(self, result: LiveResult) -> None:

@@ -17,6 +17,9 @@ from camctl.interface.camera import Frame
 from camctl.interface.controls import ExposureControls, ExposureSetting, Layout
 from camctl.pictures.accumulator import Accumulator
 
+OLDEST = "age_s"
+"""In the details of a frame that was made of several: how much older the oldest of them is, s."""
+
 
 @dataclass(frozen=True)
 class SlotState:
@@ -26,7 +29,7 @@ class SlotState:
         setting: as applied
         exposure: its true exposure, in the unit of `ExposureSetting.exposure`
         timestamp_s: when the exposure ended, on the camera's clock, s
-        age_s: how much earlier that was than the end of the newest exposure, s
+        age_s: how much earlier it, or the first of which it was made, ended than the newest one, s
         number: of its slot in the stream
         is_old: whether it is of an earlier round of the cycle: newer frames of it were lost
         plan: number of the list that it belongs to
@@ -140,7 +143,7 @@ class Window:
                 setting=frame.applied,
                 exposure=controls.exposure(frame.applied),
                 timestamp_s=frame.timestamp_s,
-                age_s=self.newest.timestamp_s - frame.timestamp_s,
+                age_s=self.newest.timestamp_s - frame.timestamp_s + frame.details.get(OLDEST, 0.0),
                 number=frame.place.number,
                 is_old=last - frame.place.number >= len(frames),
                 plan=frame.place.plan,

@@ -36,10 +36,33 @@ def test_results_become_files(run: Run, tmp_path: Path) -> None:
         (("--output", "v4l2:/dev/none", "--ratios", "1,4"), "cannot open /dev/none"),
         (("--output", "-", "--fps", "100"), "the camera sends 30"),
         (("--output", "-", "--fps", "20", "--ratios", "1,100"), "with 20 results a second"),
+        (("--output", "http:0", "-n", "40", "--base", "auto"), "expected 1 to 16"),
+        (("--output", "http:0", "--output", "webm:x"), "unknown output 'webm:x'"),
+        (
+            ("--output", "http:0", "--output", "v4l2:/dev/none", "--ratios", "1,4"),
+            "cannot open /dev/none",
+        ),
+        (("--output", "exr:some", "-n", "40", "--base", "auto"), "expected 1 to 16"),
+        (("--output", "exr:some", "--fps", "20", "--ratios", "1,100"), "with 20 results a second"),
         ((), "missing"),
     ],
 )
 def test_what_cannot_be_done_is_one_line(run: Run, arguments: tuple[str, ...], part: str) -> None:
+    """Nothing was begun: no page is announced, and no folder made."""
     ran = run("live", *SMALL, *arguments)
     assert ran.status in (1, 2)
     assert part in ran.err.splitlines()[-1]
+    assert "live at" not in ran.err
+    assert not Path("some").exists()
+
+
+@pytest.mark.parametrize("camera", ["sim", "effective:sim"])
+def test_the_simulated_camera_is_live_in_real_time(run: Run, camera: str) -> None:
+    """It sends 30 frames a second."""
+    ran = run(
+        "live", "--camera", camera, "--scene", "ramp", "-O", "size=64x48", "--base", "0.002",
+        "-n", "1", "--range", "low", "--output", "exr:some", "--every", "20", "--count", "13",
+        "--json", *(("-O", "bits=8", "-O", "range=low") if camera != "sim" else ()),
+    )  # fmt: skip
+    assert ran.status == 0, ran.err
+    assert ran.json["seconds"] > 12 / 30

@@ -240,6 +240,22 @@ def test_a_rate_that_shortens_the_exposures_is_named() -> None:
     assert sentence(found).endswith("so that the longest one leaves 12 results a second")
 
 
+@pytest.mark.parametrize("sensor", ["standard", "webcam"])
+def test_a_rate_leaves_the_shortest_exposure_as_the_light_allows(sensor: str) -> None:
+    """The ratios of the table would need a longest exposure of seconds: others take less."""
+    light = gradient(*SHAPE) / np.float32(20)
+    light = light if sensor == "standard" else np.repeat(light[..., None], 3, axis=2)
+    with (
+        camera(light, sensor=sensor) as opened,
+        camctl.live(opened, CaptureRequest(), fps=12) as live,
+    ):
+        plan = next(live).plan
+    assert plan.metering is not None
+    assert plan.settings[0].time_s > 0.8 * plan.metering.limit_s
+    assert max(each.time_s for each in plan.settings) == pytest.approx(1 / 12, rel=0.01)
+    assert not {"base_shortened", "steps_cost_levels"} & {each.code for each in plan.findings}
+
+
 def test_a_wrong_control_delay_is_settled() -> None:
     with camera(late_frames=1) as opened, camctl.live(opened, GIVEN) as live:
         some = results(live, 60)

@@ -37,7 +37,7 @@ from camctl.livestream.display import Display
 from camctl.livestream.outputs import ExrOutput, RawOutput, Y4mOutput, ycbcr
 from camctl.livestream.result import LiveResult
 from camctl.livestream.stream import Live
-from camctl.livestream.web import WebOutput
+from camctl.livestream.web import WebOutput, live_site
 
 GIVEN = CaptureRequest(base_s=0.002, ratios=(1, 4, 16), dynamic_range=256)
 
@@ -158,7 +158,7 @@ def test_every_kth_result_is_a_file(tmp_path: Path) -> None:
 @contextmanager
 def served(token: str = "", **options: Any) -> Iterator[WebOutput]:
     with stream(time="real", **options) as live:
-        output = WebOutput(live, "0", token=token)
+        output = WebOutput(live, live_site("0", token))
         ends = threading.Event()
 
         def show() -> None:
@@ -206,7 +206,7 @@ def test_one_picture_is_of_the_next_result_and_others_are_not_compressed() -> No
     """Each result is a grey of its own: 8 for the first, 16 for the next one."""
     with stream() as live:
         display = Display()
-        output = WebOutput(live, "0", display=display, token="")
+        output = WebOutput(live, live_site("0", ""), display)
         made: list[int] = []
 
         def grey(one: LiveResult) -> NDArray[np.uint8]:
@@ -243,8 +243,8 @@ def test_the_page_of_a_live_camera_needs_its_token() -> None:
 
 @pytest.mark.parametrize("address", ["x", "99999", "0.0.0.0:8080"])
 def test_addresses_that_others_reach_are_refused(address: str) -> None:
-    with stream() as live, pytest.raises(UsageError):
-        WebOutput(live, address, token="")
+    with pytest.raises(UsageError):
+        live_site(address, "")
 
 
 def test_opencv_and_a_lost_reader_take_the_stream() -> None:

@@ -23,6 +23,7 @@ from camctl.exposure.search.ranges import Chosen, choose_range
 from camctl.exposure.search.settings import (
     SettingChooser,
     at_most,
+    listed_up_to_longest,
     longest_base_on_list,
     reach_shadows,
     search_choices,
@@ -31,7 +32,7 @@ from camctl.exposure.search.wall_time import predicted_wall_s, time_costs
 from camctl.exposure.solver import SearchOptions, solve
 from camctl.exposure.table import ExposureTable
 from camctl.interface.controls import Choices, ExposureControls, ExposureSetting
-from camctl.model.effective import EffectiveCamera
+from camctl.model.effective import MOST_SEARCHED, EffectiveCamera, check_count
 from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import DesiredResponse
 from camctl.system.number_text import range_text
@@ -84,6 +85,8 @@ class Search:
             request = replace(request, dynamic_range=RANGE_WITHOUT_LIGHT)
         self.request, self._table, self._progress = request, table, progress
         self.objective = objective_of(request, controls, has_table=table is not None)
+        if self.objective == XI and request.ratios is None:
+            check_count(request.most_exposures, MOST_SEARCHED)
         self._fronts: list[tuple[tuple[Any, ...], Front]] = []
         self._ratios: tuple[float, ...] | None = None
         desired = request.desired
@@ -155,7 +158,7 @@ class Search:
 
         def within(allowed: CaptureRequest) -> Found:
             ratios = self._ratios or self._solve(controls, allowed, desired, limit_s)
-            return _settings_by_xi(controls, allowed, desired, ratios, limit_s), ratios
+            return _settings_by_xi(controls, allowed, desired, ratios, limit_s)
 
         if self.objective == ACCURACY:
             front = self._front(controls, desired, limit_s, before)
@@ -293,8 +296,13 @@ def _settings_by_xi(
     desired: DesiredResponse,
     ratios: tuple[float, ...],
     limit_s: float,
-) -> tuple[ExposureSetting, ...]:
-    """Return the settings near `ratios` of the least xi; near given ratios the nearest ones."""
+) -> Found:
+    """Return the settings near `ratios` of the least xi; near given ratios the nearest ones.
+
+    Where the camera's times are too short for a metered shortest exposure and these ratios, others
+    of the least xi are searched up to its longest exposure: with a shorter shortest exposure all of
+    them would have less light.
+    """
     real = controls.levels
     levels_wanted = request.levels_wanted or float(len(ratios) * real.M)
 
@@ -310,13 +318,17 @@ def _settings_by_xi(
 
     score = missing_levels if request.ratios is None else deviation
     chooser = SettingChooser(controls, request, ratios, score)
-    if request.ratios is None and isinstance(controls.time_s, Choices) and chooser.sets_time_only:
-        count = len(ratios)
-        if request.base_s is None:  # a metered base is shortened until enough exposures follow
-            limit_s = min(limit_s, longest_base_on_list(controls, count))
-        return search_choices(controls, request, desired, count, limit_s)
-    evaluations = _MOST_LEVELS_SORTED // (len(ratios) * real.M)
-    return chooser.best(limit_s, max(_LEAST_SETS, min(_MOST_SETS, evaluations)))
+    count = len(ratios)
+    if request.ratios is None and chooser.sets_time_only:
+        is_beyond = request.base_s is None and not chooser.reaches(limit_s)
+        listed = listed_up_to_longest(controls, limit_s, count) if is_beyond else controls
+        if isinstance(listed.time_s, Choices):
+            if request.base_s is None:  # a metered base is shortened until enough exposures follow
+                limit_s = min(limit_s, longest_base_on_list(listed, count))
+            found = search_choices(listed, request, desired, count, limit_s)
+            return found, controls.relative_exposures(found) if is_beyond else ratios
+    evaluations = _MOST_LEVELS_SORTED // (count * real.M)
+    return chooser.best(limit_s, max(_LEAST_SETS, min(_MOST_SETS, evaluations))), ratios
 
 
 def within_budget(

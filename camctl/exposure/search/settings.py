@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from camctl.errors import CaptureError, UsageError
@@ -18,7 +18,7 @@ from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.grid_search import solve_settings
 from camctl.exposure.objective import Objective
 from camctl.exposure.settings_grid import SAME, SettingsGrid
-from camctl.interface.controls import Control, ExposureControls, ExposureSetting
+from camctl.interface.controls import Choices, Control, ExposureControls, ExposureSetting
 from camctl.model.response.desired import DesiredResponse
 
 #: The shortest exposure may be this far below its limit to fit the camera's steps, in stops.
@@ -64,6 +64,11 @@ class SettingChooser:
     def sets_time_only(self) -> bool:
         """Whether shutter times, and gain beyond them, are all that may be set."""
         return self.request.mains_hz is None and self._smallest_aperture() is None
+
+    def reaches(self, limit_s: float) -> bool:
+        """Return whether a shortest exposure of `limit_s` leaves the longest one possible."""
+        largest_s = self._largest_exposure(self.controls.gain.nearest(1.0))
+        return limit_s * self.ratios[-1] <= largest_s * (1 + _WARNING_DIFFERENCE)
 
     def best(self, limit_s: float, evaluations: int) -> tuple[ExposureSetting, ...]:
         """Return the set with the lowest score found within about `evaluations` evaluations.
@@ -286,6 +291,22 @@ def _listed_exposures(controls: ExposureControls) -> dict[float, ExposureSetting
     settings += [ExposureSetting(times[-1], more) for more in gains]
     # The first of equal exposures is kept: time is changed before gain.
     return {controls.exposure(each) / gain: each for each in reversed(settings)}
+
+
+def listed_up_to_longest(
+    controls: ExposureControls, limit_s: float, count: int
+) -> ExposureControls:
+    """Return the controls with a list of times alone, from `limit_s` to the longest one.
+
+    They are `BASE_SLACK_STOPS` apart, and `count` at least where the camera has so many.
+    """
+    times = controls.time_s
+    if isinstance(times, Choices):
+        return controls
+    base_s = at_most(times, limit_s)
+    steps = max(math.ceil(math.log2(times.maximum / base_s) / BASE_SLACK_STOPS), count)
+    listed = {times.nearest(times.maximum * 2.0 ** (-k * BASE_SLACK_STOPS)) for k in range(steps)}
+    return replace(controls, time_s=Choices(tuple(sorted({base_s, *listed}))))
 
 
 def longest_base_on_list(controls: ExposureControls, count: int) -> float:
