@@ -170,6 +170,7 @@ def result(model: Model) -> Screen:
 
 def _summary(summary: Summary) -> Screen:
     levels, planned = format_levels(summary.effective_levels), format_levels(summary.planned_levels)
+    of_plan = "as planned" if levels == planned else f"{planned} planned"
     clipped = format_percent(summary.saturated)
     distrust = summary.untrustworthy_because
     head = [Line(("! Not trustworthy",))] if distrust else []
@@ -179,9 +180,9 @@ def _summary(summary: Summary) -> Screen:
             *head,
             Line(
                 (
-                    f"{levels} effective levels, {planned} planned",
-                    f"{levels} levels, {planned} planned",
-                    f"{levels} of {planned} levels",
+                    f"{levels} effective levels, {of_plan}",
+                    f"{levels} levels, {of_plan}",
+                    *([] if levels == planned else [f"{levels} of {planned} levels"]),
                     f"{levels} levels",
                 )
             ),

@@ -30,6 +30,7 @@ from camctl.findings import Finding
 from camctl.interface.camera import Camera, Frame, StreamingCamera, use_delay
 from camctl.interface.controls import Control, ExposureSetting
 from camctl.profiles.profile import DelayRecord
+from camctl.system.number_text import time_text
 
 TRIALS = 12
 #: Exposure of the bright setting over the dark one: far apart, and both within the range
@@ -368,7 +369,7 @@ def _invisible_step(light: float, dark: ExposureSetting, bright: ExposureSetting
     if light > _BRIGHT:
         return too_bright(dark.time_s)
     return CaptureError(
-        f"the scene is too dark: it is black even at {bright.time_s:.4g} s with gain "
+        f"the scene is too dark: it is black even at {time_text(bright.time_s)} with gain "
         f"{bright.gain:.4g}",
         hint="take the lens cap off, or point the camera at something brighter",
     )

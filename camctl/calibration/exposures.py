@@ -25,6 +25,7 @@ from camctl.interface.controls import Choices, Control, ExposureControls, Exposu
 from camctl.model.response.camera import CameraResponse, FloatArray
 from camctl.model.sensor import SensorModel
 from camctl.profiles.exposures import Correction, ExposureRecord
+from camctl.system.number_text import time_text
 
 REPEATS = 3
 #: Shutter times in a stop, on a camera that has any.
@@ -237,7 +238,7 @@ def _unsuitable_light(light: Mapping[float, FloatArray], brightest: float) -> Ca
     if np.mean(light[shortest]) > brightest:
         return too_bright(shortest)
     if np.mean(light[longest]) < DIM:
-        return too_dark(f"it is nearly black even at {longest:.4g} s")
+        return too_dark(f"it is nearly black even at {time_text(longest)}")
     return CaptureError(
         "no shutter time exposes a twentieth of the picture well",
         hint="point the camera at an evenly lit surface",

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from camctl.errors import CaptureError, DataError
+from camctl.system.number_text import time_text
 
 
 def too_bright(shortest_s: float) -> CaptureError:
     """Return the error for a scene that is white even at the shortest time."""
     return CaptureError(
-        f"the scene is too bright: it is white even at {shortest_s:.4g} s",
+        f"the scene is too bright: it is white even at {time_text(shortest_s)}",
         hint="close the aperture, or put a filter in front of the lens",
     )
 

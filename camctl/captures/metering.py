@@ -243,12 +243,12 @@ def meter(source: MeteringFrames, *, small_aperture: bool = False) -> Metering:
     setting, bright, clipped = best
     if bright <= BLACK_SHARE * levels.size and setting.time_s >= longest:
         raise CaptureError(
-            f"the picture is black even at {longest:.4g} s",
+            f"the picture is black even at {time_text(longest)}",
             hint="take the lens cap off, or light the scene",
         )
     if clipped > _WHITE_SHARE:
         raise CaptureError(
-            f"the picture is white even at {shortest:.4g} s",
+            f"the picture is white even at {time_text(shortest)}",
             hint="close the aperture, or put a filter before the lens",
         )
     limit_s = setting.time_s * (_headroom(levels, bright) if bright < levels.size else 1.0)

@@ -176,9 +176,11 @@ def check_camera(
     """Raise `DataError` unless `camera` can continue the capture in `directory`."""
     begun, present, controls = report.camera, camera.info, camera.controls
     if (begun.make, begun.model, begun.serial) != (present.make, present.model, present.serial):
+        names = begun.name, present.name
+        if begun.name == present.name:
+            names = f"the {begun.name} {begun.serial}", f"{present.serial}"
         raise DataError(
-            f"{directory} was begun with {begun.name} {begun.serial}, "
-            f"and this camera is {present.name} {present.serial}",
+            f"{directory} was begun with {names[0]}, and this camera is {names[1]}",
             hint="connect the same camera",
         )
     black_total = controls.black * len(report.plan.settings)

@@ -84,7 +84,7 @@ def test_black_scene_is_an_error() -> None:
 def test_overexposed_scene_is_an_error() -> None:
     with (
         small_camera(light=uniform(1e9)) as camera,
-        pytest.raises(CaptureError, match="the picture is white even at 1e-05 s"),
+        pytest.raises(CaptureError, match="the picture is white even at 1/100000 s"),
     ):
         meter(MeteringFrames(camera))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -125,8 +126,17 @@ def test_resume_refuses_complete_captures_other_cameras_and_empty_folders(tmp_pa
         capture(camera, GIVEN, tmp_path / "out")
         with pytest.raises(DataError, match="is complete: all"):
             resume(camera, tmp_path / "out")
-    with small_camera("phone") as camera, pytest.raises(DataError, match="connect the same camera"):
+    named = (
+        r"was begun with camctl simulated \w+, and this camera is camctl simulated phone; connect"
+    )
+    with small_camera("phone") as camera, pytest.raises(DataError, match=named):
         resume(camera, tmp_path / "out")
+    with small_camera() as camera:
+        camera._info = replace(camera.info, serial="N2")
+        with pytest.raises(
+            DataError, match=r"begun with the camctl simulated (.+) \1, and this camera is N2;"
+        ):
+            resume(camera, tmp_path / "out")
     with (
         small_camera() as camera,
         pytest.raises(DataError, match=r"holds no capture: report\.json"),

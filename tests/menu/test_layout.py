@@ -78,6 +78,25 @@ def test_message_keeps_its_title_on_two_rows() -> None:
     assert grid(page, 16, 2).lines[0] == "Failed         v"
 
 
+@pytest.mark.parametrize(
+    ("planned", "columns", "line"),
+    [
+        (97.2, 60, "97 effective levels, as planned"),
+        (97.2, 20, "97 levels"),
+        (120.0, 60, "97 effective levels, 120 planned"),
+        (120.0, 20, "97 of 120 levels"),
+    ],
+)
+def test_result_names_planned_levels_where_they_are_others(
+    planned: float, columns: int, line: str
+) -> None:
+    assert FULL.summary is not None
+    model = replace(
+        FULL, state=State.RESULT, summary=replace(FULL.summary, planned_levels=planned, notes=())
+    )
+    assert line in [each.strip() for each in grid(screen(model), columns, 16).lines]
+
+
 def test_histogram_is_drawn_in_one_row_or_several() -> None:
     page = Screen(Line(("T",)), histogram=(0.0, 0.25, 0.5, 1.0), actions=("Go",))
     assert grid(page, 16, 6).lines[3] == "    " + "----" + "++++" + "@@@@"

@@ -111,14 +111,15 @@ function result(state, name) {
     } catch (error) { note(error.message); }
   });
   const distrust = summary.untrustworthy_because;
+  const [reached, planned] = [summary.effective_levels, summary.planned_levels].map(levels);
   return [
     h("div", {class: "shown"}, h("div", {class: "overlay"}, image, layers, cross)),
     h("div", {},
       buttons(state, {back: state.state === "result" ? "Camera" : "All captures"}),
       reading, switches,
       distrust ? h("p", {class: "bad"}, "Not trustworthy: " + distrust) : null,
-      details([["accuracy", `${levels(summary.effective_levels)} effective levels, `
-        + `${levels(summary.planned_levels)} planned`],
+      details([["accuracy", `${reached} effective levels, `
+        + (reached === planned ? "as planned" : `${planned} planned`)],
       ["clipped", percent(summary.saturated) + " in all frames"], ["name", name]]),
       h("h2", {}, "Findings"),
       summary.notes.length ? h("ul", {}, summary.notes.map(text => h("li", {}, text)))

@@ -313,5 +313,5 @@ class TestFaults:
         self.fault("wrong_exposure", factor=0.0, count=1000)
         done = camctl("shoot", *rig.camera_arguments(rig.WEB), "-o", "cap")
         assert done.error == (
-            "the picture is black even at 0.0666 s; take the lens cap off, or light the scene"
+            "the picture is black even at 1/15 s; take the lens cap off, or light the scene"
         )
