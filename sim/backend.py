@@ -14,6 +14,7 @@ from camctl.interface.camera import CameraInfo
 from camctl.interface.clock import Clock, RealClock, VirtualClock
 from camctl.sim.camera import SimulatedCamera
 from camctl.sim.faults import Faults, fault_fields
+from camctl.sim.recorded_stream import load_stream
 from camctl.sim.scenes.scene import DEFAULT_SCENE, Scene, check_shape, load_scene, scene_of
 from camctl.sim.sensors.sensor import DEFAULT_SENSOR, load_sensor
 
@@ -40,6 +41,7 @@ class SimulatedOptions(BackendOptions):
             webcam; a calibration measures them
         stated: the camera states the exposure of each frame, as cameras of libcamera and of GenICam
             do in metadata and chunks
+        stream: a recorded one (`camctl.sim.recorded_stream`), as in which frames are lost and late
         faults: of the hardware, for tests: `Faults`, a dict of its fields, or a text such as
             unplug@3,wrong@1=0.5
     """
@@ -52,6 +54,7 @@ class SimulatedOptions(BackendOptions):
     tolerance: float = Field(default=0.0, ge=0, allow_inf_nan=False)
     unknown: bool = False
     stated: bool = False
+    stream: str | None = None
     faults: Annotated[Faults, BeforeValidator(fault_fields)] = Faults()
 
 
@@ -85,4 +88,5 @@ class SimulatedBackend:
             tolerance_dn=chosen.tolerance,
             is_unknown=chosen.unknown,
             states=chosen.stated,
+            stream=None if chosen.stream is None else load_stream(chosen.stream),
         )

@@ -24,6 +24,7 @@ from camctl.sim.damage import damaged
 from camctl.sim.effects.budget import FramePlan
 from camctl.sim.effects.record import Shot as RenderedShot
 from camctl.sim.faults import Faults as Faults
+from camctl.sim.recorded_stream import RecordedStream
 from camctl.sim.render import Comparison, Renderer
 from camctl.sim.scenes.scene import Scene
 from camctl.sim.scenes.view import View, photons_per_unit
@@ -35,8 +36,10 @@ from camctl.streaming import (
     ExposureCycle,
     ExposurePipeline,
     FrameStamp,
+    NumberedSource,
     Shot,
     StreamCycle,
+    TimestampedStream,
     Written,
     mean_brightness,
     resting_setting,
@@ -72,9 +75,12 @@ class SimulatedCamera(CameraBase):
         is_unknown: the camera states neither response, noise nor sensitivity, and its control delay
             is taken from its profile
         states: frames state their exposures, see `camctl.streaming.FrameStamp.applied`
+        stream: a real one, whose frames are lost and late in the same manner, none of them longer
+            than the frame interval; None: no frame is lost or late
 
     Attributes:
-        scene, sensor, is_unknown: as given
+        scene, is_unknown: as given
+        sensor: as given, with the shorter exposures of a real stream
         device: the simulated hardware
 
     Raises:
@@ -95,8 +101,12 @@ class SimulatedCamera(CameraBase):
         repeat_noise: bool = False,
         is_unknown: bool = False,
         states: bool = False,
+        stream: RecordedStream | None = None,
     ) -> None:
         super().__init__("the simulated camera", clock if clock is not None else VirtualClock())
+        if stream is not None:  # its times say which slot a frame has: all slots are equally long
+            longest_s = min(sensor.time_maximum_s, sensor.frame_interval_s)
+            sensor = sensor.model_copy(update={"time_maximum_s": longest_s})
         self.scene = scene
         self.sensor = sensor
         # The profile belongs to the serial number: each sensor has a profile of its own.
@@ -124,8 +134,10 @@ class SimulatedCamera(CameraBase):
             controls,
             delay_frames=self._delay.frames,
             timing=replace(
-                # In virtual time a setting is written at the very begin of a frame.
-                self._delay.timing(0.0 if isinstance(self._clock, VirtualClock) else 0.5),
+                # In virtual time a setting is written at the very begin of a frame that is on time.
+                self._delay.timing(
+                    0.0 if isinstance(self._clock, VirtualClock) and stream is None else 0.5
+                ),
                 rests=self._delay.frames is not None,
             ),
             findings=(*map(note, scene.notes), *self._delay.findings("sim")),
@@ -138,6 +150,7 @@ class SimulatedCamera(CameraBase):
         self._seed = seed
         self._repeat_noise = repeat_noise
         self._states = states
+        self._manners = stream
         self._tolerance_share = 1.0
         self._plan: FramePlan | None = None
         self._exposure: RenderedShot | None = None
@@ -214,11 +227,19 @@ class SimulatedCamera(CameraBase):
             self._clock,
             late_frames=self._faults.late_frames,
             seed=self._seed,
+            stream=self._manners,
         )
         # None: nothing is stated
         late = self._faults.stated_late if self._states else None
         self._device_frames = _DeviceFrames(self.device, self._clock_offset_s, late)
-        self._stream = ExposurePipeline(self._device_frames, self._delay, self._brightness)
+        source: NumberedSource[Buffer] = self._device_frames
+        if self._manners is not None:
+            timed = _TimedFrames(self._device_frames, is_numbered=self._manners.is_numbered)
+            source = TimestampedStream(
+                timed, self._clock, self.sensor.frame_interval_s, timed.number, timed.stated
+            )
+            source.start()
+        self._stream = ExposurePipeline(source, self._delay, self._brightness)
 
     def _close(self) -> None:
         """There is nothing to disconnect."""
@@ -372,7 +393,7 @@ class _DeviceFrames:
                 f"no frame from the simulated camera for {SILENCE_S:g} s",
                 hint="unplug it, plug it in again and resume",
             )
-        stamp_s = self._buffer.timestamp_s + self._clock_offset_s()
+        stamp_s = self._buffer.stamp_s + self._clock_offset_s()
         if self._stated is None:
             return FrameStamp(self._buffer.sequence, stamp_s)
         self._stated.append(self._buffer.exposed)
@@ -387,3 +408,35 @@ class _DeviceFrames:
     def write(self, setting: ExposureSetting) -> Written:
         slot, applied = self._device.write(setting)
         return Written(applied, slot, slot)
+
+
+class _TimedFrames:
+    """The same frames as a `TimestampedSource[Buffer]`: their times say when their slots ended.
+
+    Args:
+        frames: of the device
+        is_numbered: whether they state numbers
+    """
+
+    def __init__(self, frames: _DeviceFrames, *, is_numbered: bool) -> None:
+        self._frames = frames
+        self._is_numbered = is_numbered
+        self._last: FrameStamp | None = None
+
+    def grab(self) -> float:
+        self._last = self._frames.next_frame()
+        return self._last.time_s
+
+    def number(self) -> int | None:
+        """Return what the last frame states."""
+        return self._last.number if self._is_numbered and self._last else None
+
+    def stated(self, _: Buffer | None) -> ExposureSetting | None:
+        """Return what the last frame states of its exposure."""
+        return self._last.applied if self._last else None
+
+    def retrieve(self) -> Buffer | None:
+        return self._frames.read()
+
+    def write(self, setting: ExposureSetting) -> ExposureSetting:
+        return self._frames.write(setting).applied

@@ -8,7 +8,8 @@ driver (`camctl.sim.camera`).  Like a V4L2 camera it
 - accepts a setting at any time, clamps it silently to its limits, and applies it `delay_frames`
   slots later, counted from the first slot that has not begun; with -1 the running exposure has it,
   and the gain may have another delay than the exposure time;
-- keeps the newest `QUEUE` finished frames for a late consumer and drops older ones.
+- keeps the newest `QUEUE` finished frames for a late consumer and drops older ones;
+- may lose and delay frames, and state their times, as a recorded stream did.
 """
 
 from __future__ import annotations
@@ -23,10 +24,13 @@ from camctl.errors import CameraDisconnectedError
 from camctl.interface.camera import Pixels
 from camctl.interface.clock import Clock
 from camctl.interface.controls import ExposureSetting
+from camctl.sim.recorded_stream import Arrival, RecordedStream
 from camctl.sim.sensors.sensor import Sensor
 
 #: Finished frames that wait for the consumer at most: the default number of V4L2 buffers in OpenCV.
 QUEUE = 4
+
+_AT_ONCE = Arrival(0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -35,12 +39,16 @@ class Buffer:
 
     Attributes:
         sequence: number of the slot since the stream began
-        timestamp_s: when its exposure ended
+        end_s: when its exposure ended
+        stamp_s: the time that it states
+        arrival_s: when it arrives
         exposed: its exposure, which few cameras state
     """
 
     sequence: int
-    timestamp_s: float
+    end_s: float
+    stamp_s: float
+    arrival_s: float
     exposed: ExposureSetting
     _before: ExposureSetting
 
@@ -72,6 +80,7 @@ class SimulatedDevice:
         clock: of the stream
         late_frames: of each setting, more than the sensor says
         seed: of the variation of the control delay
+        stream: when frames arrive; None: all of them, as soon as they are exposed
 
     Attributes:
         lost: number of frames that were dropped
@@ -85,8 +94,10 @@ class SimulatedDevice:
         *,
         late_frames: int = 0,
         seed: int = 0,
+        stream: RecordedStream | None = None,
     ) -> None:
         self._sensor = sensor
+        self._stream = stream
         self._render = render
         self._clock = clock
         self._jitter = np.random.Generator(np.random.PCG64(seed))
@@ -112,8 +123,10 @@ class SimulatedDevice:
     def upcoming(self) -> int:
         """Sequence number of the first slot that has not begun, as of frame-start events."""
         self._advance()
-        # Where a setting acts on the running exposure, one that begins now has begun.
-        has_begun = self._clock.now() > self._start_s or min(self._late) < 0
+        # Where a setting acts on the running exposure, one that begins now has begun; and where
+        # frames take time to arrive, none arrives before.
+        is_now = min(self._late) < 0 or self._stream is not None
+        has_begun = self._clock.now() > self._start_s or is_now
         return self._running + has_begun
 
     def write(self, setting: ExposureSetting) -> tuple[int, ExposureSetting]:
@@ -135,7 +148,7 @@ class SimulatedDevice:
             None if no frame arrives within `silence_s` beyond the time that the next frame takes.
         """
         self._advance()
-        if not self._finished:
+        while not self._finished:
             if self._frozen:
                 self._clock.sleep_until(self._clock.now() + self._slot_s() + silence_s)
                 self._check_plug()
@@ -143,6 +156,7 @@ class SimulatedDevice:
             self._clock.sleep_until(self._start_s + self._slot_s())
             self._advance()
         buffer = self._finished.popleft()
+        self._clock.sleep_until(buffer.arrival_s)
         if self._drops_next:
             self._drops_next = False
             self.lost += 1
@@ -167,7 +181,7 @@ class SimulatedDevice:
         """Return the pixels of a frame; the fault `light` multiplies its exposure."""
         self._check_plug()
         setting = buffer.exposed
-        start_s = buffer.timestamp_s - setting.time_s - self._began_s
+        start_s = buffer.end_s - setting.time_s - self._began_s
         return self._render(
             Slot(
                 buffer.sequence,
@@ -216,7 +230,16 @@ class SimulatedDevice:
             end_s = self._start_s + self._slot_s()
             if end_s > now:
                 return
-            self._finished.append(Buffer(self._running, end_s, self._setting, self._before))
+            arrival = self._stream.arrival(self._running) if self._stream else _AT_ONCE
+            if arrival is None:
+                self.lost += 1
+            else:
+                stamp_s, arrival_s = (
+                    end_s + late * self._sensor.frame_interval_s for late in arrival
+                )
+                self._finished.append(
+                    Buffer(self._running, end_s, stamp_s, arrival_s, self._setting, self._before)
+                )
             self._before = self._setting
             self._running += 1
             self._start_s = end_s

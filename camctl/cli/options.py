@@ -210,7 +210,7 @@ camera_settings = option(
     "-O --camera-option NAME=VALUE",
     "Option of this kind of camera, such as format=y16; may be given several times: "
     "profile=none leaves out what calibrations have measured; the simulated camera has "
-    "size=WIDTHxHEIGHT, seed=N, time=real, tolerance=DN and faults=FAULT,...",
+    "size=WIDTHxHEIGHT, seed=N, time=real, tolerance=DN, stream=NAME and faults=FAULT,...",
     KeyValue(),
     field="camera_settings",
     multiple=True,

@@ -348,8 +348,8 @@ def test_measured_delay_is_stored_and_used(delay: int) -> None:
 
 
 def shot_buffer(of: SimulatedCamera, time_s: float) -> Buffer:
-    setting = ExposureSetting(time_s)
-    return Buffer(0, of.clock.now(), setting, setting)
+    setting, now_s = ExposureSetting(time_s), of.clock.now()
+    return Buffer(0, now_s, now_s, now_s, setting, setting)
 
 
 def test_delay_that_a_random_series_contradicts_is_refused() -> None:
