@@ -62,8 +62,10 @@ class RecordingTransport:
         self, operation: int, transaction: int, parameters: Sequence[int], data: bytes | None
     ) -> None:
         """Send the first phase of a transaction, and keep it."""
-        sent = {"operation": operation, "parameters": list(parameters)}
-        self.packets.append({"sent": sent | ({} if data is None else {"data": data.hex()})})
+        sent: dict[str, Any] = {"operation": operation, "parameters": list(parameters)}
+        if data is not None:
+            sent["data"] = self._without_private(data, keep_texts=False).hex()
+        self.packets.append({"sent": sent})
         self._operation = operation
         self._transport.send(operation, transaction, parameters, data)
 
@@ -85,14 +87,12 @@ class RecordingTransport:
         return found
 
     def _keep(self, kind: str, found: Container) -> None:
-        payload = found.payload
-        if found.kind == DATA:
-            is_read = False
-            if self._operation == Op.GET_DEVICE_INFO:
-                with suppress(CameraError):
-                    self._hide(DeviceInfo.parse(payload).serial)
-                    is_read = True  # else its serial number is among its texts
-            payload = self._without_private(payload, keep_texts=is_read)
+        has_texts = found.kind == DATA
+        if has_texts and self._operation == Op.GET_DEVICE_INFO:
+            with suppress(CameraError):
+                self._hide(DeviceInfo.parse(found.payload).serial)
+                has_texts = False  # else its serial number is among its texts
+        payload = self._without_private(found.payload, keep_texts=not has_texts)
         self.packets.append({kind: [found.kind, found.code, payload.hex()]})
 
     def _hide(self, serial: str) -> None:

@@ -9,6 +9,7 @@ import json
 import struct
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from ptp_bench import bench
@@ -17,7 +18,7 @@ from v4l2_model import Model
 
 from camctl.drivers.ptp import recording as ptp
 from camctl.drivers.ptp.codes import Op
-from camctl.drivers.ptp.transport import DATA, Container
+from camctl.drivers.ptp.transport import DATA, EVENT, Container
 from camctl.drivers.v4l2 import recording as v4l2
 from camctl.drivers.v4l2.node import Node
 from camctl.errors import CameraError
@@ -103,6 +104,17 @@ def test_texts_of_information_that_cannot_be_read_are_hidden() -> None:
     recording._keep("received", Container(DATA, Op.GET_DEVICE_INFO, 1, text))
     (packet,) = recording.packets
     assert packet["received"][2] == (bytes([9]) + b"x\0" * 8 + b"\0\0").hex()
+
+
+def test_texts_that_are_sent_and_a_serial_number_in_an_event_are_hidden() -> None:
+    recording = ptp.RecordingTransport(Mock())
+    recording._hide("12345678")
+    name = bytes([4]) + "Ann".encode("utf-16-le") + b"\0\0"
+    recording.send(Op.SET_PROPERTY, 2, [0x501F], name)
+    recording._keep("event", Container(EVENT, 0x4002, 2, b"12345678"))
+    sent, event = recording.packets
+    assert sent["sent"]["data"] == (bytes([4]) + b"x\0" * 3 + b"\0\0").hex()
+    assert event["event"][2] == b"xxxxxxxx".hex()
 
 
 def test_numbers_are_kept() -> None:
