@@ -68,22 +68,22 @@ def has_few_chroma_samples(samples: Sequence[Patches], highest: int) -> bool:
     )
 
 
-def chroma_variance(frame: NDArray[Any]) -> NDArray[np.float32]:
+def chroma_variance(cells: Sequence[NDArray[Any]]) -> NDArray[np.float32]:
     """Return the variance of the errors of colours, levels squared, of each cell of 2 x 2 pixels.
 
     Args:
-        frame: (rows, columns, 3) of R, G and B, of both an even number
+        cells: (4, rows, columns) of red, of green and of blue, see `_lost`
 
     Returns:
-        (3, rows / 2, columns / 2)
+        (3, rows, columns)
     """
-    red, green, blue = (_cell_means(frame[..., k]) for k in range(3))
+    red, green, blue = (each.sum(axis=0, dtype=np.uint32) * np.float32(0.25) for each in cells)
     Y = _OF_Y[0] * red + _OF_Y[1] * green + _OF_Y[2] * blue
     of_y, of_blue, of_red = (
         np.maximum(box_means(each * each, 1) - np.square(box_means(each, 1)), 0.0)
         for each in (Y, (blue - Y) * np.float32(1 / _OF_BLUE), (red - Y) * np.float32(1 / _OF_RED))
     )
-    share = _LOSS * box_means(_lost(_cells(frame[..., 1])), 1)
+    share = _LOSS * box_means(_lost(cells[1]), 1)
     share /= of_y + np.float32(_NO_CONTRAST)
     np.minimum(share, _MOST_LOST, out=share)
     of_blue *= share
@@ -95,23 +95,14 @@ def chroma_variance(frame: NDArray[Any]) -> NDArray[np.float32]:
     return found
 
 
-def _cells(plane: NDArray[Any]) -> NDArray[Any]:
-    """Return (rows, 2, columns, 2) of a plane."""
-    return plane.reshape(plane.shape[0] // 2, 2, plane.shape[1] // 2, 2)
-
-
-def _cell_means(plane: NDArray[Any]) -> NDArray[np.float32]:
-    """Return the means of cells of 2 x 2 pixels."""
-    rows = np.add(plane[::2], plane[1::2], dtype=np.uint32)
-    return np.asarray((rows[:, ::2] + rows[:, 1::2]) * np.float32(0.25), np.float32)
-
-
 def patch_chroma_variance(patches: Patches) -> NDArray[np.float32]:
     """Return that of patches of red, green and blue, one number each, (3 * patches,)."""
     squares = _patch_squares(patches)
     squares = squares[..., : squares.shape[2] & ~1, : squares.shape[3] & ~1]
     cells = squares.reshape(*squares.shape[:2], squares.shape[2] // 2, 2, -1, 2)
-    lost = np.moveaxis(_lost(np.moveaxis(cells[1], 0, -1)), -1, 0).mean(axis=(1, 2))
+    # (patches, rows, 2, columns, 2) to (4, rows, columns, patches)
+    green = cells[1].transpose(2, 4, 1, 3, 0).reshape(4, *cells.shape[2:5:2], -1)
+    lost = _lost(green).mean(axis=(0, 1))
     mean = cells.mean(axis=(3, 5), dtype=np.float32)
     Y = np.tensordot(_OF_Y, mean, 1)
     of_y, blue, red = (
@@ -134,13 +125,14 @@ def _lost(cells: NDArray[Any]) -> NDArray[np.float32]:
     It shows a quarter of the difference of the means on both sides.
 
     Args:
-        cells: (rows, 2, columns, 2, ...) of green, whose detail within a cell is that of Y
+        cells: (4, rows, columns, ...) of green, whose detail within a cell is that of Y: its upper
+            left, upper right, lower left and lower right sample
     """
-    upper, lower = cells[:, 0].astype(np.float32), cells[:, 1].astype(np.float32)
-    sums, differences = upper + lower, lower - upper
-    across, down = sums[:, :, 1] - sums[:, :, 0], differences[:, :, 0] + differences[:, :, 1]
-    diagonal = differences[:, :, 1] - differences[:, :, 0]
-    mean = (sums[:, :, 0] + sums[:, :, 1]) / 4
+    first, second, third, last = (each.astype(np.float32) for each in cells)
+    left, right, differences = first + third, second + last, third - first
+    across, others = right - left, last - second
+    down, diagonal = differences + others, others - differences
+    mean = (left + right) / 4
     down[1:-1] -= (mean[2:] - mean[:-2]) / 2
     across[:, 1:-1] -= (mean[:, 2:] - mean[:, :-2]) / 2
     return np.asarray((np.square(across) + np.square(down) + np.square(diagonal)) / 16)

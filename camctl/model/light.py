@@ -22,17 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.model.distribution import normal_cdf
+from camctl.model.light_bins import BINS_OF_OCTAVE, LightBins
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import CLIPPING_SIGMAS, SensorModel
 from camctl.model.step_posterior import REACH, FrameSet, StepPosterior
 from camctl.model.step_scores import StepScores
 
 Floats32 = NDArray[np.float32]
-
-#: Bits of the fraction of a float32 that a bin of light has: 64 bins an octave, in which a weight
-#: of photon noise changes by 1.1 %, and the variance of a mean by 1e-4 of itself at most.
-_BIN_BITS = 6
-_DROPPED = np.finfo(np.float32).nmant - _BIN_BITS
 
 #: Noise in steps below which the quantiser's mean error exceeds 0.7 % of a step: the first harmonic
 #: of Widrow and Kollar (Quantization Noise, 2008) is exp(-2 (pi s)^2) / pi.
@@ -156,6 +152,7 @@ class LightTables:
 
     Attributes:
         sensor: the camera
+        bins: returns the bin of each light
         irradiance: (n, white + 1) float32, the light of each value in each frame
         lights: (B,) the middle of each bin of light
         deviation: (B,) float32, standard deviation of an estimate in each bin
@@ -175,11 +172,8 @@ class LightTables:
         self.irradiance: Floats32 = light.astype(np.float32)
         self._brightest = np.float32(sensor.full / exposures.min())
         step = float(np.min(sensor.gap[sensor.gap > 0])) / exposures.max()
-        self._lowest = np.float32(2.0 ** np.floor(np.log2(step / 16)))
-        self._first_bin = int(self._lowest.view(np.uint32)) >> _DROPPED
-        bins = np.arange(self._first_bin, self._bin_number(self._brightest) + 1, dtype=np.uint32)
-        edges = (bins << np.uint32(_DROPPED)).view(np.float32).astype(np.float64)
-        self.lights: FloatArray = edges * (1 + 0.5 / (1 << _BIN_BITS))
+        bins = LightBins(2.0 ** np.floor(np.log2(step / 16)), float(self._brightest))
+        self.bins, self.lights = bins.of, bins.lights
         found = _Weights.at(frames, sensor, self.lights)
         self.weights: Floats32 = found.weight.astype(np.float32)
         self.deviation: Floats32 = found.deviation.astype(np.float32)
@@ -204,9 +198,9 @@ class LightTables:
         exact = np.flatnonzero(self._exact & ~self._sharp)
         if exact.size:
             # An octave more: what begins near the last of them may be brighter.
-            lights = self.lights[: exact[-1] + 1 + (1 << _BIN_BITS)]
-            if StepScores.fits(frames, sensor, lights):
-                self._scores = StepScores(frames, sensor, lights)
+            size = min(int(exact[-1]) + 1 + BINS_OF_OCTAVE, self.lights.size)
+            if StepScores.fits(frames, sensor, self.lights[:size]):
+                self._scores = StepScores(frames, sensor, bins, size)
         self._pattern = found.pattern.astype(np.float32)
         self._first = self.bins(light_of_sums(frames, sensor).astype(np.float32))
 
@@ -220,14 +214,6 @@ class LightTables:
     def variances(self) -> Floats32:
         """(n, B), variance of a sample of each frame as irradiance, above 0."""
         return np.square(self.spreads) + np.float32(_LEAST_VARIANCE)
-
-    def _bin_number(self, light: np.float32) -> int:
-        return int(np.float32(light).view(np.uint32)) >> _DROPPED
-
-    def bins(self, E: Floats32) -> NDArray[np.intp]:
-        """Return the bin of each light."""
-        found = np.clip(E, self._lowest, self._brightest).view(np.uint32) >> np.uint32(_DROPPED)
-        return found.astype(np.intp) - self._first_bin
 
     def estimate(
         self, values: Sequence[NDArray[Any]], total: NDArray[Any]

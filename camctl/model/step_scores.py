@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.model.distribution import NORMAL_REACH, NoisyFrame, normal_cdf
+from camctl.model.light_bins import LightBins
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import SensorModel
 from camctl.model.step_posterior import FrameSet
@@ -48,14 +49,16 @@ class StepScores:
     Args:
         frames: exposures and noise
         sensor: the camera
-        lights: ascending
+        bins: of light
+        size: so many of them, from the first one on
 
     Attributes:
         size: number of lights
         deviation: (size,) float32, standard deviation at each of them
     """
 
-    def __init__(self, frames: FrameSet, sensor: SensorModel, lights: FloatArray) -> None:
+    def __init__(self, frames: FrameSet, sensor: SensorModel, bins: LightBins, size: int) -> None:
+        self._bins, lights = bins, bins.lights[:size]
         self._lights = lights.astype(np.float32)
         information = np.zeros(lights.size)
         self._scores = np.empty(
@@ -90,11 +93,11 @@ class StepScores:
             safe = np.maximum(probability, _LEAST)
             table[...] = np.where(usual, rise / safe, -end * by)
             information += np.where(usual, rise**2 / safe, 0.0).sum(axis=1)
-        self.size = lights.size
+        self.size = size
         self._inverse = (1 / np.maximum(information, 1e-30)).astype(np.float32)
         self.deviation = np.sqrt(self._inverse)
-        places = np.arange(lights.size)
-        near = [np.clip(places + by, 0, lights.size - 1) for by in (-_REACH, _REACH)]
+        places = np.arange(size)
+        near = [np.clip(places + by, 0, size - 1) for by in (-_REACH, _REACH)]
         variance, ends = (
             np.diff([each.astype(np.float64)[k] for k in near], axis=0)[0]
             for each in (self._inverse, lights)
@@ -128,7 +131,7 @@ class StepScores:
             light = self._lights.take(bins)
             E = light + score * self._inverse.take(bins)
             np.clip(E, light / np.float32(_FACTOR), light * np.float32(_FACTOR), out=E)
-            bins = np.minimum(np.searchsorted(self._lights, E), size - 1)
+            bins = np.minimum(self._bins.of(E), size - 1)
         deviation = self.deviation.take(bins)
         meets = (np.abs(E - light) < deviation) & (bins < size - 1)
         E += self._shift.take(bins)
