@@ -33,6 +33,9 @@ from camctl.model.response.camera import FloatArray
 NODES = 96
 """Steps of u over which the error is averaged; with 1,024 the effective levels differ by 0.5 %."""
 
+EDGES = np.linspace(0.0, 1.0, NODES + 1)
+"""Edges of these steps."""
+
 FEW_LEVELS = 15
 """Cameras of so few levels (photon counters of 1 to 4 bits) have errors as large as the range."""
 
@@ -60,10 +63,10 @@ _PHASE = np.linspace(-1.0, 1.0, 17)
 
 @dataclass(frozen=True, eq=False)
 class _Table:
-    """One gain: rows (4, X) of s, v, c, and what a second of DCNU adds to c, at x.
+    """One gain: rows of s, v, c, more, and what a second of DCNU adds to c, at x.
 
     Attributes:
-        rows: three where nothing grows with time
+        rows: (R, X); without the last where nothing grows with time
         first: ln(x) of the first column
         dark: light that a second of dark current is to the quantiser, in the unit of x
     """
@@ -73,7 +76,7 @@ class _Table:
     dark: float
 
     def at(self, log_x: FloatArray) -> NDArray[np.float32]:
-        """Return the rows at ln(x), (3 or 4, ...)."""
+        """Return the rows at ln(x), (R, ...)."""
         place = np.clip((log_x - self.first) / _STEP, 0.0, self.rows.shape[1] - 1.001)
         index = place.astype(np.intp)
         share = (place - index).astype(np.float32)
@@ -86,12 +89,18 @@ class FrameAccuracy:
 
     Args:
         problem: the camera, its noise and the desired response
+        edges: of the steps of u over which the error is averaged
+
+    Attributes:
+        u: (NODES,) middles of these steps
+        share: (NODES,) their widths
     """
 
-    def __init__(self, problem: AccuracyProblem) -> None:
-        self.problem = problem
-        u = (np.arange(NODES) + 0.5) / NODES
-        E = problem.desired.inverse(u)
+    def __init__(self, problem: AccuracyProblem, edges: FloatArray = EDGES) -> None:
+        self.problem, self.edges = problem, edges
+        self.u = (edges[1:] + edges[:-1]) / 2
+        self.share = np.diff(edges)
+        u, E = self.u, problem.desired.inverse(self.u)
         slope = problem.desired.slope(E)
         self.log_E = np.log(E)
         self.weight = ((E * slope) ** 2).astype(np.float32)
@@ -99,7 +108,7 @@ class FrameAccuracy:
         # u1, which is the mean of u^2 / 4.
         self.largest = np.minimum(u**2 / 4, 1 / 12).astype(np.float32)
         noise = problem.noise
-        self.fixed = float(np.mean((noise.prnu * E * slope) ** 2))
+        self.fixed = float(self.share @ (noise.prnu * E * slope) ** 2)
         available = problem.available
         self.has_shift = noise.dsnu_e > 0 or noise.dcnu_e_s > 0
         has_dark = noise.dark_current_e_s > 0 or noise.dcnu_e_s > 0
@@ -128,17 +137,19 @@ class FrameAccuracy:
         )
         unit = slope / (response.M + 1) * inside  # levels of a sample for one of the linear scale
         per_electron = gain / noise.conversion_e_per_dn
-        rows = [
-            slope * x * inside,
-            variance,
-            unit * frame.dsnu_levels,
-            unit * noise.dcnu_e_s * per_electron,
-        ]
+        rows = [slope * x * inside, variance, unit * frame.dsnu_levels]
+        rows += self._more_rows(y, np.hypot(noise_levels, unit * frame.dsnu_levels))
+        if self.unit_s:
+            rows.append(unit * noise.dcnu_e_s * per_electron)
         dark = noise.dark_current_e_s * per_electron / (response.M + 1)
-        return _Table(np.array(rows[: 4 if self.unit_s else 3], dtype=np.float32), first, dark)
+        return _Table(np.array(rows, dtype=np.float32), first, dark)
+
+    def _more_rows(self, signal: FloatArray, noise: FloatArray) -> list[FloatArray]:
+        """Return what else adds up over frames, from their signals and noise in levels."""
+        return []
 
     def parts(self, log_exposure: FloatArray, gain: float, time: FloatArray) -> NDArray[np.float32]:
-        """Return s, v and c of frames at one gain, (3, F, NODES).
+        """Return s, v, c and more of frames at one gain, (3 or more, F, NODES).
 
         Args:
             log_exposure: (F,) ln of the exposures relative to the shortest
@@ -155,14 +166,40 @@ class FrameAccuracy:
             rows[0] *= np.exp(log_x - log_lit)
         else:
             rows = table.at(log_x)
-        rows[2] = np.hypot(rows[2], rows[3] * time_s)
-        return rows[:3]
+        rows[2] = np.hypot(rows[2], rows[-1] * time_s)
+        return rows[:-1]
 
     def mse(self, parts: NDArray[np.floating[Any]], step: int = 1) -> FloatArray:
         """Return the mean square error in u of summed parts, (...) from (3, ..., NODES).
 
         With a `step` the parts are those of every second, third, ... node.
         """
+        return np.asarray(self.errors(parts, step).mean(axis=-1) + self.fixed, dtype=np.float64)
+
+    def derivatives(
+        self, total: FloatArray, one: FloatArray, two: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return gradient (F,) and Hessian (F, F) of `mse` by what frames are changed by.
+
+        Args:
+            total: summed parts of the set
+            one: (..., F, NODES) derivatives of the parts of each frame
+            two: their second derivatives
+        """
+        S, V, C = total[:3]
+        V = V + C * C
+        S = np.maximum(S, 1e-30)
+        weight = self.weight / S**2 * self.share
+        weight = np.where(self.weight * V / S**2 < self.largest, weight, 0.0)
+        ds, dv = one[0] / S, one[1] + 2 * C * one[2]
+        gradient = (dv - 2 * V * ds) @ weight
+        cross = -2 * (dv * weight) @ ds.T
+        hessian = cross + cross.T + 6 * (ds * (V * weight)) @ ds.T
+        hessian[np.diag_indices(len(hessian))] += (two[1] - 2 * V * two[0] / S) @ weight
+        return gradient, hessian
+
+    def errors(self, parts: NDArray[np.floating[Any]], step: int = 1) -> NDArray[np.floating[Any]]:
+        """Return the square error in u at each node, without that of sensitivities."""
         slope, variance, shift = parts
         if self.has_shift:
             variance = variance + shift * shift
@@ -174,7 +211,7 @@ class FrameAccuracy:
             error = 1 / (1 / np.where(error > 0, error, np.inf) + 1 / self.largest[::step])
         else:
             np.fmin(error, self.largest[::step], out=error)
-        return np.asarray(error.mean(axis=-1) + self.fixed, dtype=np.float64)
+        return np.asarray(error)
 
 
 def _near_black(

@@ -33,7 +33,7 @@ class Judge:
         self._frames = self._coarse = frames
         step = math.ceil(math.log2((frames.problem.response.M + 1) / (MAX_JUDGED_LEVELS + 1)))
         if dithered and step > 0:
-            self._coarse = FrameAccuracy(_coarser(frames.problem, 2**step))
+            self._coarse = type(frames)(_coarser(frames.problem, 2**step), frames.edges)
 
     @property
     def ratings(self) -> int:
@@ -71,8 +71,8 @@ def _coarser(problem: AccuracyProblem, step: int) -> AccuracyProblem:
 
 def _estimate(frames: FrameAccuracy, shots: Sequence[Shot]) -> float:
     """Return the estimated effective levels of a set."""
-    parts = np.zeros((3, frames.log_E.size))
-    for shot in shots:
-        time = np.array([shot.time])
-        parts += frames.parts(np.log([shot.exposure]), shot.gain, time)[:, 0]
-    return float((12 * frames.mse(parts)) ** -0.5)
+    parts = [
+        frames.parts(np.log([shot.exposure]), shot.gain, np.array([shot.time]))[:, 0]
+        for shot in shots
+    ]
+    return float((12 * frames.mse(np.sum(parts, axis=0, dtype=np.float64))) ** -0.5)

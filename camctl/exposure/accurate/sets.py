@@ -16,8 +16,9 @@ from typing import TypeAlias
 
 import numpy as np
 
+from camctl.exposure.accurate.dark_zone import frame_accuracy
 from camctl.exposure.accurate.design import DesignSearch
-from camctl.exposure.accurate.estimate import FEW_LEVELS, FrameAccuracy
+from camctl.exposure.accurate.estimate import FEW_LEVELS
 from camctl.exposure.accurate.frame_sets import Design
 from camctl.exposure.accurate.judge import Judge
 from camctl.exposure.accurate.least_quantisation import COUNTS, least_quantisation
@@ -119,7 +120,7 @@ class AccurateSets:
         self._most: int | None = MOST_SMOOTH if self._is_smooth else MOST_JUDGED
         if problem.response.M <= FEW_LEVELS:
             self._most = None  # the estimate says least of them, and exact ratings cost little
-        frames = FrameAccuracy(problem)
+        frames = frame_accuracy(problem)
         self.searches = [DesignSearch(frames, base, counts) for base in bases(problem)]
         self.judge = Judge(frames, dithered=self.dithered)
         self._listed = ListedSets(self.searches, counts, self.dithered, self.judge)

@@ -151,22 +151,14 @@ class TunedSets(FrameSets):
         low, high = (self._parts(at, gain, shift).astype(np.float64) for shift in (-1, 1))
         one = (high - low) / (2 * DELTA)
         two = (high + low - 2 * design.parts[:, 1:]) / DELTA**2
-        S, V, C = design.parts.sum(axis=1, dtype=np.float64)
-        V = V + C * C
-        S = np.maximum(S, 1e-30)
-        weight = self.frames.weight / S**2 / self.frames.log_E.size
-        weight = np.where(self.frames.weight * V / S**2 < self.frames.largest, weight, 0.0)
-        ds, dv = one[0] / S, one[1] + 2 * C * one[2]
-        gradient = (dv - 2 * V * ds) @ weight
-        cross = -2 * (dv * weight) @ ds.T
-        hessian = cross + cross.T + 6 * (ds * (V * weight)) @ ds.T
-        hessian[np.diag_indices(at.size)] += (two[1] - 2 * V * two[0] / S) @ weight
+        total = design.parts.sum(axis=1, dtype=np.float64)
+        gradient, hessian = self.frames.derivatives(total, one, two)
         gradient, hessian = gradient / design.mse, hessian / design.mse
         hessian -= np.outer(gradient, gradient)
         times = self._times(at, gain)
-        total = design.time + self.costs.fixed
+        time = design.time + self.costs.fixed
         rate = np.where(
-            times >= self.costs.least * (1 - SAME), self.costs.factor * times / total, 0.0
+            times >= self.costs.least * (1 - SAME), self.costs.factor * times / time, 0.0
         )
         return (gradient, hessian), (rate, np.diag(rate) - np.outer(rate, rate))
 
