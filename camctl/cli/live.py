@@ -117,13 +117,11 @@ def live(
         policy: Any = "all" if any(each.startswith("exr:") for each in outputs) else "latest"
         results = begin(opened, wanted, fps=fps, policy=policy, reuse=True)
         resources.enter_context(results)
-        assert results.plan is not None  # it has begun
         takers = []
         for maker in makers:
             takers.append(maker(results))
             resources.callback(takers[-1].close)
         run = _Run(results)
-        run.say(results.plan.findings)
         try:
             for result in results:
                 for taker in takers:

@@ -210,6 +210,12 @@ def test_still_camera_is_listed_and_shoots(run: Run, still: Callable[..., Virtua
         assert Path("here", frame["original"]).suffix == ".tif"
 
 
+def test_a_still_camera_is_not_live(run: Run, still: Callable[..., VirtualStill]) -> None:
+    still(files="tiff", serial="A77")
+    error = run("live", "--camera", "ptp:A77", "--output", "http:0", "-n", "2").error
+    assert error.startswith("ptp:A77 takes single pictures, and does not stream; take pictures")
+
+
 def test_still_camera_has_times_and_no_delay_and_meters_only_with_the_option(
     run: Run, still: Callable[..., VirtualStill]
 ) -> None:
