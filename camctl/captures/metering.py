@@ -21,7 +21,7 @@ from camctl.interface.camera import (
     shoot_when_ready,
     when_ready,
 )
-from camctl.interface.controls import ExposureSetting
+from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.response.camera import FloatArray
 from camctl.system.number_text import time_text
 
@@ -86,7 +86,13 @@ def _sample(plane: NDArray[Any]) -> NDArray[Any]:
 class MeteringFrames:
     """Takes metering frames: previews, or exposures of the shutter where that is allowed.
 
+    Args:
+        camera: an open camera
+        spend_shutter: allows exposures of a shutter
+        controls: what metering may set; None: all that the camera can
+
     Attributes:
+        controls: what metering may set
         count: number of frames taken
         last: the setting of the last one
 
@@ -94,7 +100,13 @@ class MeteringFrames:
         UsageError: the camera has no preview and `spend_shutter` does not allow actuations
     """
 
-    def __init__(self, camera: Camera, *, spend_shutter: bool = False) -> None:
+    def __init__(
+        self,
+        camera: Camera,
+        *,
+        spend_shutter: bool = False,
+        controls: ExposureControls | None = None,
+    ) -> None:
         if not (isinstance(camera, PreviewingCamera) or spend_shutter):
             raise UsageError(
                 f"{camera.info.id} has no preview, and metering would cost shutter actuations",
@@ -105,7 +117,7 @@ class MeteringFrames:
         self.count = 0
         self.last: ExposureSetting | None = None
         self._frame: Frame | None = None
-        controls = camera.controls
+        self.controls = controls = controls or camera.controls
         self._reference: Frame | None = None
         self._check = NeighbourCheck(controls.levels, controls.black, controls.layout)
 
@@ -176,8 +188,15 @@ class MeteringFrames:
         )
 
 
-def meter_light(camera: Camera, request: CaptureRequest) -> Light | None:
+def meter_light(
+    camera: Camera, request: CaptureRequest, controls: ExposureControls | None = None
+) -> Light | None:
     """Return the light, in units of what the request allows; None: it has the base exposure.
+
+    Args:
+        camera: an open camera
+        request: what the user asks for
+        controls: what metering may set; None: all that the camera can
 
     Raises:
         UsageError: the camera has no preview, and the request allows no actuations of its shutter
@@ -185,7 +204,7 @@ def meter_light(camera: Camera, request: CaptureRequest) -> Light | None:
     """
     if request.base_s is not None:
         return None
-    source = MeteringFrames(camera, spend_shutter=request.spend_shutter)
+    source = MeteringFrames(camera, spend_shutter=request.spend_shutter, controls=controls)
     metering = meter(source, small_aperture=request.use_aperture)
     # Actuations of a shutter are spent only where the light decides more than the base exposure.
     is_free = isinstance(camera, PreviewingCamera) or request.desired is None
@@ -202,8 +221,7 @@ def meter(source: MeteringFrames, *, small_aperture: bool = False) -> Metering:
     Raises:
         CaptureError: all is black at the longest exposure, or white at the shortest
     """
-    camera = source.camera
-    controls = camera.controls
+    camera, controls = source.camera, source.controls
     levels = controls.levels.levels
     aperture = controls.f_number
     f_number = aperture.maximum if aperture is not None and small_aperture else None
@@ -241,7 +259,8 @@ def meter(source: MeteringFrames, *, small_aperture: bool = False) -> Metering:
             remedies={"base_s": None},
         )
     setting, bright, clipped = best
-    if bright <= BLACK_SHARE * levels.size and setting.time_s >= longest:
+    most = bright * controls.gain.maximum / gain  # what the gain would make of it
+    if most <= BLACK_SHARE * levels.size and setting.time_s >= longest:
         raise CaptureError(
             f"the picture is black even at {time_text(longest)}",
             hint="take the lens cap off, or light the scene",
@@ -253,7 +272,7 @@ def meter(source: MeteringFrames, *, small_aperture: bool = False) -> Metering:
         )
     limit_s = setting.time_s * (_headroom(levels, bright) if bright < levels.size else 1.0)
     return Metering(
-        limit_s=min(max(limit_s, shortest), longest),
+        limit_s=min(max(limit_s, shortest), camera.controls.time_s.maximum),
         setting=setting,
         highlight=bright / levels.size,
         clipped=clipped,
@@ -269,7 +288,7 @@ def light_histogram(source: MeteringFrames, metering: Metering, *, lower_end: fl
     darker, or all that is darker is below `lower_end`.  Times end at `WAITED_S`, where
     the frames are not taken yet; from there on the gain rises.
     """
-    controls = source.camera.controls
+    controls = source.controls
     main, M = controls.levels.levels, controls.levels.M
     readable = min(_READABLE_LEVELS, M)
     setting = metering.setting
@@ -284,7 +303,7 @@ def light_histogram(source: MeteringFrames, metering: Metering, *, lower_end: fl
         samples = [np.clip(_sample(plane).astype(np.intp) - frame.black, 0, M) for plane in planes]
         unread = unread or [np.ones(each.size, np.bool_) for each in samples]
         darker = [rest & (each < readable) for rest, each in zip(unread, samples, strict=True)]
-        longer = _longer(source.camera, setting, M / (2 * _READABLE_LEVELS))
+        longer = _longer(controls, setting, M / (2 * _READABLE_LEVELS))
         last = (
             sum(int(each.sum()) for each in darker)
             <= _UNREAD_SHARE * sum(each.size for each in samples)
@@ -320,9 +339,8 @@ def light_histogram(source: MeteringFrames, metering: Metering, *, lower_end: fl
     )
 
 
-def _longer(camera: Camera, setting: ExposureSetting, factor: float) -> ExposureSetting:
+def _longer(controls: ExposureControls, setting: ExposureSetting, factor: float) -> ExposureSetting:
     """Return a setting with `factor` times the exposure, or the largest that metering uses."""
-    controls = camera.controls
     waited_s = WAITED_S if controls.repeatable else math.inf  # else nobody waits
     longest_s = max(min(waited_s, controls.time_s.maximum), setting.time_s)
     time_s = controls.time_s.nearest(min(setting.time_s * factor, longest_s))

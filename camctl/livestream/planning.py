@@ -81,8 +81,11 @@ class LivePlanner:
         self._camera = camera
 
     def first(self) -> CapturePlan:
-        """Return a plan by metering frames; raises as `plan_capture` does."""
-        return self._plan(meter_light(self._camera, self._search.request))
+        """Return a plan by metering frames, no longer than those of the stream may be.
+
+        Raises as `plan_capture` does.
+        """
+        return self._plan(meter_light(self._camera, self._search.request, self.controls))
 
     def again(self, light: Light) -> CapturePlan:
         """Return a plan for the light that the stream shows; raises as `plan_capture` does."""

@@ -256,6 +256,35 @@ def test_a_rate_leaves_the_shortest_exposure_as_the_light_allows(sensor: str) ->
     assert not {"base_shortened", "steps_cost_levels"} & {each.code for each in plan.findings}
 
 
+@pytest.mark.parametrize("scene", ["room", "night-street"])
+def test_metering_is_as_fast_as_the_stream(scene: str) -> None:
+    """Longer frames, for which the first picture would wait, show nothing that it can."""
+    with camctl.open_camera("sim", scene=scene, size="64x48") as opened:
+        taken = []
+        preview = opened.preview  # type: ignore[attr-defined]
+
+        def noted(setting: ExposureSetting) -> Frame:
+            taken.append(setting.time_s)
+            return preview(setting)
+
+        opened.preview = noted  # type: ignore[attr-defined]
+        with camctl.live(opened, fps=20) as live:
+            next(live)
+    assert len(taken) > 1
+    assert max(taken) <= 1 / 20 + 1e-9
+
+
+def test_a_dim_scene_is_live_with_gain() -> None:
+    """At gain 1 its brightest light has 0.8 % of the levels."""
+    light = np.repeat(gradient(*SHAPE)[..., None], 3, axis=2) / np.float32(10_000)
+    with (
+        camera(light, sensor="webcam") as opened,
+        camctl.live(opened, CaptureRequest(), fps=20) as live,
+    ):
+        some = results(live, 40)
+    assert max(each.setting.gain for each in some[-1].exposures) == 8
+
+
 def test_a_wrong_control_delay_is_settled() -> None:
     with camera(late_frames=1) as opened, camctl.live(opened, GIVEN) as live:
         some = results(live, 60)
