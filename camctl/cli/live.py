@@ -133,6 +133,10 @@ def live(
                     break
         except BrokenPipeError:
             pass  # the program that read has ended
+        except KeyboardInterrupt:  # as it ends where nobody says how many results
+            if run.count and not as_json and not is_piped:
+                print_text(run.text())
+            raise
         if as_json:
             print_json(run.json())
         elif not is_piped:

@@ -31,6 +31,18 @@ class Output(Protocol):
         """End."""
 
 
+def _send(stream: BinaryIO, *parts: bytes) -> None:
+    """Write to a pipe or a file; raises `BrokenPipeError` or `StorageError`."""
+    try:
+        for part in parts:
+            stream.write(part)
+        stream.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise storage_error(Path("standard output"), error) from error
+
+
 class RawOutput:
     """The desired response as 16-bit numbers, little endian: gray16le or rgb48le of ffmpeg.
 
@@ -42,8 +54,7 @@ class RawOutput:
 
     def write(self, result: LiveResult) -> None:
         """Send the picture of a result."""
-        self._stream.write(result.image.astype("<u2", copy=False).tobytes())
-        self._stream.flush()
+        _send(self._stream, result.image.astype("<u2", copy=False).tobytes())
 
     def close(self) -> None:
         """Leave the stream open: it is not this one's."""
@@ -77,10 +88,8 @@ class Y4mOutput:
                 f"YUV4MPEG2 W{columns} H{rows} F{rate.numerator}:{rate.denominator} Ip A1:1 "
                 f"C{colours} XCOLORRANGE=FULL\n"
             )
-            self._stream.write(head.encode())
-        self._stream.write(b"FRAME\n")
-        self._stream.write(_planes(picture).tobytes())
-        self._stream.flush()
+            _send(self._stream, head.encode())
+        _send(self._stream, b"FRAME\n", _planes(picture).tobytes())
 
     def close(self) -> None:
         """Leave the stream open: it is not this one's."""

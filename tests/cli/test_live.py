@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from command_line import Run
 
+from camctl.livestream.result import LiveResult
+
 SMALL = ("--scene", "ramp", "-O", "size=64x48", "-O", "time=virtual", "--base", "0.002")
 
 
@@ -66,3 +68,16 @@ def test_the_simulated_camera_is_live_in_real_time(run: Run, camera: str) -> Non
     )  # fmt: skip
     assert ran.status == 0, ran.err
     assert ran.json["seconds"] > 12 / 30
+
+
+def test_what_was_live_until_ctrl_c_is_stated(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def write(_: object, result: LiveResult) -> None:
+        if result.number == 4:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("camctl.livestream.outputs.ExrOutput.write", write)
+    ran = run("live", *SMALL, "--ratios", "1,4", "--output", "exr:some")
+    assert ran.status == 130
+    assert ran.err == "camctl: interrupted\n"
+    assert ran.out.splitlines()[0].startswith("results      4, ")
+    assert "2 ms, 8 ms" in ran.out

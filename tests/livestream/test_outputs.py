@@ -30,7 +30,7 @@ from site_client import ask_site
 import camctl
 from camctl.drivers.v4l2 import abi
 from camctl.drivers.v4l2.loopback import LoopbackDevice
-from camctl.errors import UsageError
+from camctl.errors import StorageError, UsageError
 from camctl.exposure.goal import CaptureRequest
 from camctl.livestream import video_capture
 from camctl.livestream.display import Display
@@ -88,6 +88,14 @@ def test_raw_samples_are_the_desired_response() -> None:
     one, out = result(), io.BytesIO()
     RawOutput(out).write(one)
     assert np.array_equal(np.frombuffer(out.getvalue(), "<u2").reshape(48, 64), one.image)
+
+
+@pytest.mark.parametrize("kind", ["raw", "y4m"])
+def test_a_full_disk_is_an_error_that_says_so(kind: str) -> None:
+    with Path("/dev/full").open("wb", buffering=0) as full, stream() as live:
+        output = RawOutput(full) if kind == "raw" else Y4mOutput(full, Display(), live)
+        with pytest.raises(StorageError, match="the disk is full"):
+            output.write(next(live))
 
 
 @pytest.mark.parametrize(("sensor", "samples"), [("standard", 1), ("webcam", 3)])
