@@ -263,7 +263,7 @@ def test_metering_is_as_fast_as_the_stream(scene: str) -> None:
         taken = []
         preview = opened.preview  # type: ignore[attr-defined]
 
-        def noted(setting: ExposureSetting) -> Frame:
+        def noted(setting: ExposureSetting) -> Any:
             taken.append(setting.time_s)
             return preview(setting)
 
