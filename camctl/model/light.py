@@ -224,6 +224,14 @@ class LightTables:
             values: samples of each frame, (S,) up to white, black included
             total: their sum, (S,)
         """
+        E, deviation = self.mean(values, total)
+        self.refine(values, E, deviation)
+        return E, deviation
+
+    def mean(
+        self, values: Sequence[NDArray[Any]], total: NDArray[Any]
+    ) -> tuple[Floats32, Floats32]:
+        """Return the same as if noise dithered the quantiser and clipped nothing."""
         samples = [table.take(each) for table, each in zip(self.irradiance, values, strict=True)]
         bins = self._first.take(total)
         for each, lowest in zip(values, self._saturating, strict=True):
@@ -237,9 +245,27 @@ class LightTables:
             E += weighted
         deviation = self.deviation.take(bins)
         self._add_saturated(values, samples, bins, E, deviation)
-        bins = self.bins(E)
         self._truncate(E, deviation)
-        chosen = np.flatnonzero(self._exact.take(bins))
+        return E, deviation
+
+    def refine(
+        self,
+        values: Sequence[NDArray[Any]],
+        E: Floats32,
+        deviation: Floats32,
+        where: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """Replace what `mean` returned where exact probabilities of the steps say another light.
+
+        Args:
+            values: samples of each frame, (S,)
+            E: their light
+            deviation: of it
+            where: samples to replace at most; None: all
+        """
+        bins = self.bins(E)
+        exact = self._exact.take(bins)
+        chosen = np.flatnonzero(exact if where is None else exact & where)
         doubtful = np.zeros(chosen.size, np.bool_)
         if chosen.size and self._scores is not None:
             first = bins[chosen]
@@ -258,7 +284,6 @@ class LightTables:
             mean, spread = self._posterior.of(here, counts)
             known = np.isfinite(mean)  # else all probabilities are 0
             E[chosen[known]], deviation[chosen[known]] = mean[known], spread[known]
-        return E, deviation
 
     def _add_saturated(
         self,

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -63,6 +64,7 @@ class Estimator:
         deviation: of an estimate at each of them; NaN where it is not known
         gain: the standard deviation of the sum's light over `deviation`, likewise
         tables: that it uses; None: of a sum
+        mean: `estimate` without what `LightTables.refine` does; None: of a sum
     """
 
     estimate: Estimate
@@ -70,6 +72,7 @@ class Estimator:
     deviation: NDArray[np.floating[Any]]
     gain: NDArray[np.floating[Any]]
     tables: LightTables | None = None
+    mean: Estimate | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,10 +161,12 @@ class FrameLight:
         deviation = np.empty_like(irradiance)
         for part, estimator in self.parts:
             views = [part.view(each) for each in (*frames, total, irradiance, deviation)]
+            # Where colours have notable errors, the light is replaced, and refined elsewhere.
+            estimate = estimator.mean if self.chroma and estimator.mean else estimator.estimate
             for rows in _blocks(views[0].shape):
                 *values, sums, light, error = (each[rows] for each in views)
                 clipped = [np.ravel(each) for each in self._clipped(values)]
-                found = estimator.estimate(clipped, np.ravel(sums))
+                found = estimate(clipped, np.ravel(sums))
                 light[...], error[...] = (each.reshape(light.shape) for each in found)
         if self.chroma:
             share_chroma_errors(self._clipped(frames), self.chroma, irradiance, deviation)
@@ -337,9 +342,11 @@ def _likelihood(
     top = len(frames.exposures) * tables.sensor.white
 
     def estimate(
-        values: list[NDArray[Any]], total: NDArray[np.unsignedinteger]
+        values: list[NDArray[Any]], total: NDArray[np.unsignedinteger], *, exactly: bool
     ) -> tuple[Floats32, Floats32]:
-        E, deviation = tables.estimate(values, total)
+        E, deviation = tables.mean(values, total)
+        if exactly:
+            tables.refine(values, E, deviation)
         if not is_all_certain:
             deviation[~certain.take(tables.bins(E))] = np.nan
         white = total == top
@@ -348,7 +355,14 @@ def _likelihood(
         return E, deviation
 
     known = np.where(certain, tables.deviation, np.nan)
-    return Estimator(estimate, tables.lights, known, tables.of_sum / tables.deviation, tables)
+    return Estimator(
+        partial(estimate, exactly=True),
+        tables.lights,
+        known,
+        tables.of_sum / tables.deviation,
+        tables,
+        partial(estimate, exactly=False),
+    )
 
 
 def _sum(frames: FrameSet, prior: DesiredResponse | None, *, is_known: bool) -> Estimator:
