@@ -164,6 +164,19 @@ class NoisySum:
         self.black = sum(frame.black for frame in noise)
         self.top = camera.levels_total + self.black
 
+    def clips_widely(self, E: FloatArray) -> NDArray[np.bool_]:
+        """Return at which E (Q,) a wide distribution of a frame ends at black or at white.
+
+        It is then convolved as a whole; elsewhere it counts as normal, at next to no cost.
+        """
+        found = np.zeros(E.size, dtype=bool)
+        for frame in self.frames:
+            x, reach = frame.signal(E, 0.0), NORMAL_REACH * frame.deviation(E)
+            is_wide = 2 * reach > _LEAST_FOURIER * frame.step
+            for end in frame.thresholds[[0, -1]] if frame.step else ():
+                found |= is_wide & (np.abs(x - end) < reach)
+        return found
+
     def probabilities(self, E: FloatArray, z: float = 0.0) -> tuple[NDArray[np.intp], FloatArray]:
         """Return the smallest possible sum at each E (Q,), and the probabilities from it (W, Q).
 

@@ -191,11 +191,13 @@ class Posterior:
     def _joint(self, v: FloatArray) -> Iterator[tuple[slice, NDArray[np.intp], FloatArray]]:
         """Yield some nodes, sums (W, nodes) that each may have, and their probabilities."""
         chunk = int(np.clip(v.size // CHUNKS, LEAST_CHUNK, MOST_CHUNK))
-        for first in range(0, v.size, chunk):
-            part = slice(first, first + chunk)
-            E = self._response.inverse(v[part])
+        E = self._response.inverse(v)
+        changes = np.flatnonzero(np.diff(self.sum.clips_widely(E))) + 1
+        firsts = np.unique(np.append(np.arange(0, v.size, chunk), changes)).tolist()
+        for first, last in zip(firsts, [*firsts[1:], v.size], strict=True):
+            part = slice(first, last)
             for z, weight in self._offsets:
-                start, probability = self.sum.probabilities(E, z)
+                start, probability = self.sum.probabilities(E[part], z)
                 columns = start + np.arange(len(probability))[:, np.newaxis]
                 yield part, np.minimum(columns, self.sum.top), weight * probability
 

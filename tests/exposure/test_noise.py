@@ -15,11 +15,12 @@ from camctl.exposure.noise import (
     noisy_effective_levels,
 )
 from camctl.exposure.robustness import sensitivity, shifted
-from camctl.model import inverse
+from camctl.model import distribution, inverse
+from camctl.model.distribution import NoisySum
 from camctl.model.effective import EffectiveCamera, effective_levels
 from camctl.model.inverse import Posterior, posterior_of
 from camctl.model.noise import FrameNoise
-from camctl.model.response.camera import linear_response, standard_response
+from camctl.model.response.camera import FloatArray, linear_response, standard_response
 from camctl.model.response.desired import desired_response
 
 EIGHT_BIT = linear_response(8)
@@ -180,6 +181,28 @@ def test_the_work_does_not_grow_with_the_narrowness_of_the_range(
         total += np.clip(frame, 0, 255).astype(np.int64)
     simulated = (12 * np.mean((posterior.inverse.u[total] - u) ** 2)) ** -0.5
     assert posterior.inverse.effective_levels == pytest.approx(simulated, rel=0.01)
+
+
+def test_few_irradiances_are_convolved_where_white_cuts_off_much_noise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """They are computed apart from the others, whose sums are normal: 16 bits, 6 frames."""
+    camera = EffectiveCamera.of(linear_response(16), [1, 2, 5, 12, 30, 75])
+    noise = [FrameNoise(0.1, 3.0)] * 6
+    posterior = Posterior(camera, LOG, noise)
+    expected, sizes = posterior.mse, []
+    convolve = distribution._convolve
+
+    def counted(a: FloatArray, b: FloatArray) -> FloatArray:
+        sizes.append(min(len(a), len(b)) * a.shape[1])
+        return convolve(a, b)
+
+    monkeypatch.setattr(distribution, "_convolve", counted)
+    assert Posterior(camera, LOG, noise).mse == expected
+    apart, sizes = sum(sizes), []
+    monkeypatch.setattr(NoisySum, "clips_widely", lambda self, E: np.zeros(E.size, dtype=bool))
+    assert Posterior(camera, LOG, noise).mse == pytest.approx(expected, rel=1e-9)
+    assert apart < sum(sizes) / 2
 
 
 def test_of_large_cameras_only_the_last_posterior_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
