@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from camctl.captures.true_exposures import choose_exposures, estimate_exposures
 from camctl.captures.verdict import judge, suspected, suspects
 from camctl.evidence.damage import damaged_share
-from camctl.evidence.delay import DelayError, ShotLog
-from camctl.evidence.light_ratio import MOST_CHANGE, NeighbourCheck
+from camctl.evidence.delay import ShotLog
+from camctl.evidence.light_ratio import MOST_CHANGE, FrameSample, NeighbourCheck
 from camctl.evidence.patches import Patches, patch_places
 from camctl.evidence.raster_damage import wrong_lines
 from camctl.evidence.ratio_check import RatioCheck
@@ -49,7 +49,15 @@ class FrameChecks:
             pairs=len(capture.plan.settings) - 1,
             response_error=_response_error(self._controls),
         )
-        self._log = ShotLog(capture.plan.settings, self._controls)
+        self._shots: list[FrameSample] = []  # of all sequences, in their order
+        self._awaited: set[int] = set()
+        self._has_settled = False
+        self._log = ShotLog(
+            capture.plan.settings,
+            self._controls,
+            self._compare_shots,
+            lambda shot: float(self._shots[shot].patches.mean()),
+        )
         self._delay_of = camera.info.id if self._log.has_delay else None
         self.thumbnails: dict[int, NDArray[np.uint8]] = {}
         self._damage: dict[int, float] = {}  # share that shows no scene, of frames judged so far
@@ -57,12 +65,15 @@ class FrameChecks:
     def begin(self, positions: Sequence[int]) -> None:
         """Record that the frames at `positions` are shot now, in one sequence."""
         self._log.begin(positions)
+        self._awaited = set(positions)
 
     def add(self, position: int, pixels: Pixels) -> None:
         """Compare the frame at `position` with its neighbours that have arrived."""
         applied, controls = self._frame(position).applied, self._controls
         noise = controls.frame_noise([applied])[0] if controls.noise else None
-        self._check.add(position, pixels, noise)
+        sample = self._check.add(position, pixels, noise)
+        if position in self._awaited:
+            self._shots.append(sample)
         self._forget_damage(position)
         self.thumbnails[position] = thumbnail(pixels, self._controls)
         for later in (position, position + 1):
@@ -84,35 +95,42 @@ class FrameChecks:
         """
         if not self._controls.repeatable:
             return []
+        if self._may_settle and (error := self._log.find()) is not None and error.is_certain:
+            return []  # all of them are
         checks = [frame.ratio for frame in self._frames]
-        self._log.find(checks)
         # What is wrong with the exposure of a damaged frame, and of those beside it, is not known;
         # of a wrong exposure only the brighter lines may contradict the other frames.
         wrong = self._damaged() or suspects(checks) or self._with_wrong_lines()
         return [k for k in wrong if self._frame(k).attempts == 1]
 
-    def delay_error(self) -> DelayError | None:
-        """Return the error of the camera's known control delay that the frames show, or None."""
-        codes = [finding.code for finding in self._controls.findings]
-        if not self._controls.repeatable or "delay_unknown" in codes:
-            return None
-        checks = [frame.ratio for frame in self._frames]
-        error = self._log.find(checks)
-        # A single ratio fits some exposures before the capture, whatever is wrong with it.
-        certain = [check for check in checks if check is not None and check.is_certain]
-        is_sure = len(certain) > 1 and any(check.contradicts for check in certain)
-        return error if is_sure or (error is not None and error.shift) else None
+    @property
+    def are_to_settle(self) -> bool:
+        """Whether the control delay may be wrong: where the camera settles, its frames tell."""
+        return self._may_settle and self._log.find() is not None
+
+    @property
+    def _may_settle(self) -> bool:
+        """Whether frames can be shot again, and the camera does not settle at each exposure yet."""
+        controls = self._controls
+        is_unknown = "delay_unknown" in (finding.code for finding in controls.findings)
+        is_stream = controls.repeatable and self._log.has_delay
+        return is_stream and not is_unknown and not self._has_settled
 
     def settle(self) -> None:
         """Record that the camera settles at each exposure from now on."""
-        self._log = ShotLog(self._capture.plan.settings, self._controls, settles=True)
+        self._has_settled = True
+        self._log.settle()
+
+    def _compare_shots(self, one: int, other: int, expected: float) -> RatioCheck:
+        return self._check.compare(self._shots[one], self._shots[other], expected)
 
     def judge(self) -> list[ExposureRatio]:
         """Write into the report what the frames say of their exposures; return those to use."""
         frames = self._frames
         checks = [frame.ratio for frame in frames]
-        disagree = any(check is not None and not check.agrees for check in checks)
-        error = self._log.find(checks) if disagree else None
+        error = self._log.find_old() if self._has_settled else self._log.find()
+        if error is not None and not error.is_probable:
+            error = None
         estimates = None
         if self._capture.request.estimate_ratios and len(frames) > 1:
             estimates, findings = estimate_exposures(
@@ -137,8 +155,16 @@ class FrameChecks:
             for position, share in self._damaged().items()
         ]
         self._capture.distrust(reasons)
-        self._capture.findings += others
+        self._capture.findings += [*others, *self._delay_settled()]
         return chosen
+
+    def _delay_settled(self) -> list[Finding]:
+        """Return that the control delay was wrong, where the camera has settled since."""
+        error = self._log.find() if self._has_settled else None
+        if error is None or not error.is_probable:
+            return []
+        remedies = {"calibrate_delay": self._delay_of}
+        return [Finding(code="delay_settled", value=error.shift, remedies=remedies)]
 
     @property
     def samples(self) -> list[Patches]:

@@ -24,7 +24,6 @@ from camctl.captures.frame_checks import FrameChecks
 from camctl.captures.outputs import complete
 from camctl.errors import CamctlError, CaptureError, DataError, InterruptedCaptureError
 from camctl.exposure.search.wall_time import predicted_wall_s, wall_time_findings
-from camctl.findings import Finding
 from camctl.interface.camera import Camera, Frame, Pixels, shoot_when_ready, use_delay
 from camctl.interface.clock import cancelled_by, check_cancelled
 from camctl.interface.controls import Layout
@@ -79,7 +78,6 @@ class Sequence:
         self._on_progress, self._cancelled = on_progress, cancelled or (lambda: False)
         self._checks = FrameChecks(camera, capture)
         self._sum: Accumulator | None = None
-        self._has_settled = False
         self._arrived = {k for k, frame in enumerate(capture.frames) if frame is not None}
 
     def run(self) -> CaptureReport:
@@ -274,24 +272,16 @@ class Sequence:
         self._shoot_again(again)
 
     def _settle_if_late(self) -> None:
-        """Let the camera settle, and shoot all again, where its control delay is not the known one.
+        """Let the camera settle, and shoot all again, where its control delay may be wrong.
 
-        One wrong frame can look like that: it has been shot again before.
+        One wrong frame can look like that: it has been shot again before.  What settled frames
+        show tells whether it was the delay.
         """
-        error = None if self._has_settled else self._checks.delay_error()
-        if error is None or self._cancelled():
+        if not self._checks.are_to_settle or self._cancelled():
             return
         if not use_delay(self._camera, None):
             return
-        self._has_settled = True
         self._checks.settle()
-        self._capture.findings.append(
-            Finding(
-                code="delay_settled",
-                value=error.shift,
-                remedies={"calibrate_delay": self._camera.info.id},
-            )
-        )
         self._shoot_again(range(len(self._capture.frames)))
 
     def _shoot_again(self, again: Iterable[int]) -> None:

@@ -3,32 +3,34 @@
 Each frame then has the exposure that was set some frames before, or after, its own.  What was set
 is known: the settings of each sequence of the capture, and the setting in which the stream rests
 after it.  What was in force before the first sequence is one unknown exposure.
+
+Beside it stand the other explanations of a capture's frames: each has its own exposure, but for
+frames that are wrong; or the camera clamps what is set, and its longest or shortest exposures are
+one.  The most probable one counts.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from itertools import product
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise, product
 
-from camctl.evidence.ratio_check import RatioCheck
+from camctl.evidence.explanation import Compare, Explanation, Explanations, Had
+from camctl.evidence.ratio_check import SIGNIFICANCE
 from camctl.interface.controls import ExposureControls, ExposureSetting, resting_setting
 
 #: The largest error of a control delay that is recognised, frames.
 _MOST_LATE = 6
-#: Slots beyond the least that may pass between two sequences; the last is a long pause.
-_PAUSES = (0, 1, 1000)
-#: Comparisons of known exposures that show the number of frames; fewer may fit by chance.
-_FEWEST_PAIRS = 2
 #: Writes before its own whose setting a frame may have, where the camera settles at each exposure.
 _MOST_OLD = 2
-#: In place of the unknown exposure before the capture.
-_BEFORE = 0.0
+#: Logarithm of the probability of each kind of error before there is a frame.
+_UNLIKELY = math.log(SIGNIFICANCE)
 
-#: Number of a sequence, and place in it.
-_Place = tuple[int, int]
-_Pair = tuple[_Place, _Place, RatioCheck]
+#: Settings of shots, and None where a shot does not count.
+_Asked = Sequence[ExposureSetting | None]
+#: What shots had, by the frames that exposures come late; 0: how many has no number.
+_Late = Mapping[int, Sequence[Explanation]]
 
 
 @dataclass(frozen=True)
@@ -37,30 +39,21 @@ class DelayError:
 
     Attributes:
         shift: frames by which all exposures came late; negative: early; None: not known
+        log_odds: logarithm of its probability over that of all other explanations
     """
 
-    shift: int | None = None
+    shift: int | None
+    log_odds: float
 
+    @property
+    def is_probable(self) -> bool:
+        """Whether nothing else explains the frames as well."""
+        return self.log_odds > 0
 
-@dataclass
-class _Hypothesis:
-    """An error of the control delay that contradicts no ratio yet.
-
-    Attributes:
-        shift: frames by which exposures come late; negative: early
-        pause: slots between two sequences beyond the least
-        before: exposure in force before the capture, as the ratios show it
-        explained: pairs of shots whose light has the ratio of the exposures set before them
-        is_needed: whether one of these ratios does not fit the shots' own exposures
-        measured: pairs whose ratio has given `before`
-    """
-
-    shift: int
-    pause: int
-    before: float | None = None
-    explained: set[tuple[_Place, _Place]] = field(default_factory=set)
-    is_needed: bool = False
-    measured: set[tuple[_Place, _Place]] = field(default_factory=set)
+    @property
+    def is_certain(self) -> bool:
+        """Whether all else has less than `SIGNIFICANCE` of its probability."""
+        return self.log_odds >= -_UNLIKELY
 
 
 class ShotLog:
@@ -69,7 +62,8 @@ class ShotLog:
     Args:
         settings: of the frames of a capture
         controls: of the camera
-        settles: the camera settles at each exposure, whatever its controls say
+        compare: two shots, which are numbered from 0 in the order of `begin`
+        brightness: of a shot
 
     Attributes:
         has_delay: whether the camera is a stream, whose settings take effect late
@@ -79,130 +73,172 @@ class ShotLog:
         self,
         settings: Sequence[ExposureSetting],
         controls: ExposureControls,
-        *,
-        settles: bool = False,
+        compare: Compare,
+        brightness: Callable[[int], float],
     ) -> None:
-        if settles:
-            controls = replace(controls, delay_frames=None)
         self._settings, self._controls = settings, controls
-        settles |= controls.timing is not None and controls.timing.old_frames > 0
+        settles = controls.timing is not None and controls.timing.old_frames > 0
         self.has_delay = controls.delay_frames is not None or settles
         self._sequences: list[tuple[int, ...]] = []
-        delay = controls.delay_frames or 0
-        self._possible = [
-            _Hypothesis(shift, pause)
-            for shift, pause in product(range(-delay - 1, _MOST_LATE + 1), _PAUSES)
-            if shift
-        ]
+        self._settled_from: int | None = None  # the first sequence in which the camera settled
+        self._scores = Explanations(controls, len(settings) - 1, compare, brightness)
+        self._found: dict[tuple[int, int], DelayError | None] = {}
+
+    def settle(self) -> None:
+        """Record that the camera settles at each exposure from now on."""
+        self._settled_from = len(self._sequences)
 
     def begin(self, positions: Sequence[int]) -> None:
         """Record that the frames at `positions` are shot now, in one sequence."""
         self._sequences.append(tuple(positions))
 
-    def find(self, checks: Sequence[RatioCheck | None]) -> DelayError | None:
-        """Return the error of the control delay that the pixels show; None: none explains them.
+    def find(self) -> DelayError | None:
+        """Return the error of the control delay that the shots show, all of which are there.
 
-        `checks[k]` compares frame k with frame k - 1.  An error has to explain the ratios of each
-        call, which is made after each sequence, and some ratio must not fit without it.
+        Where the camera has settled later, it is that of the sequences before.
+
+        Returns:
+            None where the frames may be right, or anything else that is wrong with them has all but
+            `SIGNIFICANCE` of the probability.
         """
-        places = {
-            position: (number, place)
+        return self._kept(0, self._late if self._controls.delay_frames is not None else self._old)
+
+    def find_old(self) -> DelayError | None:
+        """Return whether settled frames have exposures that were written before their own."""
+        return self._kept(self._settled_from or 0, self._old)
+
+    def _kept(self, first: int, late: Callable[[Sequence[int]], _Late]) -> DelayError | None:
+        """Return what was found of the same shots before, or find it.
+
+        Args:
+            first: number of the first sequence that counts
+            late: returns what the shots of some sequences had
+        """
+        key = first, len(self._sequences)
+        if key not in self._found:
+            last = (
+                len(self._sequences) if first or self._settled_from is None else self._settled_from
+            )
+            self._found[key] = (
+                self._find(first, late(range(first, last))) if self.has_delay else None
+            )
+        return self._found[key]
+
+    def _find(self, first: int, late: _Late) -> DelayError | None:
+        asked = [
+            self._settings[position] if number >= first else None
             for number, sequence in enumerate(self._sequences)
-            for place, position in enumerate(sequence)
-        }
-        pairs = [
-            (places[k - 1], places[k], check)
-            for k, check in enumerate(checks)
-            if check and check.is_certain and {k - 1, k} <= places.keys()
+            for position in sequence
         ]
-        if not self.has_delay or all(check.agrees for _, _, check in pairs):
+        as_set: Explanation = [
+            [] if each is None else [Had(self._controls.exposure(each))] for each in asked
+        ]
+        right = self._scores.score_of_known(as_set)
+        if self._scores.highest(as_set) + _UNLIKELY < right:
             return None
-        if self._controls.delay_frames is None:
-            return DelayError() if self._some_are_old(pairs) else None
-        self._possible = [each for each in self._possible if self._is_possible(each, pairs)]
-        shown = [each for each in self._possible if each.is_needed]
-        if not shown:
+        clamped = [self._scores.score(*each) for each in _clamped(asked)]
+        others = [self._scores.score(as_set)]
+        others += [score + _UNLIKELY - math.log(len(clamped)) for score in clamped]
+        shares = {
+            shift: _UNLIKELY - math.log(len(late)) + _log_mean(map(self._scores.score, each))
+            for shift, each in late.items()
+        }
+        odds = _log_sum(shares.values()) - _log_sum(others)
+        if odds < _UNLIKELY or _log_sum(shares.values()) < right:
             return None
-        shifts = {each.shift for each in shown}
-        is_sure = len(shifts) == 1 and any(len(each.explained) >= _FEWEST_PAIRS for each in shown)
-        return DelayError(shifts.pop() if is_sure else None)
+        best = max(shares, key=lambda shift: shares[shift])
+        rest = [share for shift, share in shares.items() if shift != best]
+        is_one = bool(best) and shares[best] + _UNLIKELY >= _log_sum(rest)
+        return DelayError(best if is_one else None, odds)
 
-    def _is_possible(self, hypothesis: _Hypothesis, pairs: Sequence[_Pair]) -> bool:
-        """Return whether no ratio contradicts it; record what it explains."""
-        for first, second, check in pairs:
-            if (first, second) in hypothesis.measured:
-                continue
-            one, other = (self._had(hypothesis, place) for place in (first, second))
-            if one is None or other is None or check.measured is None:
-                continue
-            if one != other and _BEFORE in (one, other):
-                if one == _BEFORE:
-                    before, one = other / check.measured, hypothesis.before
-                else:
-                    before, other = one * check.measured, hypothesis.before
-                if one is None or other is None:
-                    hypothesis.before = before
-                    hypothesis.measured.add((first, second))
-                    continue
-            if not _fits(check, 1.0 if one == other else other / one):
-                return False
-            hypothesis.explained.add((first, second))
-            hypothesis.is_needed |= not check.agrees
-        return True
-
-    def _had(self, hypothesis: _Hypothesis, place: _Place) -> float | None:
-        """Return the exposure of a shot; `_BEFORE`: the one before the capture; None: unknown."""
+    def _late(self, numbers: Sequence[int]) -> _Late:
+        """Return what shots had by the frames that exposures of some sequences come late."""
         delay = self._controls.delay_frames or 0
-        number, index = place
-        wanted = index - hypothesis.shift
+        return {
+            shift: [
+                [
+                    [self._had(shift if number in numbers else 0, number, place, pause)]
+                    for number, sequence in enumerate(self._sequences)
+                    for place in range(len(sequence))
+                ]
+                for pause in range(max(shift, 0) + 1)
+            ]
+            for shift in range(-delay - 1, _MOST_LATE + 1)
+            if shift
+        }
+
+    def _had(self, shift: int, number: int, place: int, pause: int) -> Had:
+        """Return the exposure of a shot: a known one, or the one before the capture.
+
+        Args:
+            shift: frames by which exposures come late
+            number: of the sequence
+            place: of the shot in it
+            pause: slots between two sequences beyond the least
+        """
+        delay = self._controls.delay_frames or 0
+        wanted = place - shift
         while True:
             written = self._written(number)
             if wanted >= 0:
-                return written[min(wanted, len(written) - 1)]
+                return Had(written[min(wanted, len(written) - 1)])
             if number == 0:
-                return _BEFORE if wanted >= -delay else None
+                return Had(1.0, is_known=False)
             # The next sequence begins when the last frame of the one before it is here.
             number -= 1
-            wanted += len(self._sequences[number]) + delay + hypothesis.pause
+            wanted += len(self._sequences[number]) + delay + pause
 
     def _written(self, number: int) -> list[float]:
         """Return the exposures that were written in a sequence, the one at rest included."""
         settings = [self._settings[position] for position in self._sequences[number]]
         rest = resting_setting(self._controls, settings)
-        return [each.exposure for each in (*settings, *([] if rest is None else [rest]))]
+        return [
+            self._controls.exposure(each) for each in (*settings, *([] if rest is None else [rest]))
+        ]
 
-    def _some_are_old(self, pairs: Sequence[_Pair]) -> bool:
-        """Return whether the frames have their own exposures or those written before them.
+    def _old(self, numbers: Sequence[int]) -> _Late:
+        """Return that shots of some sequences have their exposures or those written before them.
 
-        Where the delay is not constant, each setting is written after the frame of the one before.
+        Where the camera settles, each setting is written after the frame of the one before.
         """
         written: list[float] = []
-        had: dict[_Place, list[float | None]] = {}
+        had: list[list[Had]] = []
         for number, sequence in enumerate(self._sequences):
             exposures = self._written(number)
+            oldest = _MOST_OLD if number in numbers else 0
             for place in range(len(sequence)):
-                known = [*written, *exposures[: place + 1]][-1 - _MOST_OLD :]
-                had[number, place] = [*known, *[None] * (1 + _MOST_OLD - len(known))]
+                known = [*written, *exposures[: place + 1]][-1 - oldest :]
+                had.append([Had(each) for each in dict.fromkeys(known)])
             written += exposures
-        # Exposures that the last frame may have, and whether known ones explain a disagreement.
-        states: set[tuple[float | None, bool]] = set()
-        for k, (first, second, check) in enumerate(pairs):
-            if k == 0 or pairs[k - 1][1] != first:
-                is_explained = any(needed for _, needed in states)
-                states = {(each, is_explained) for each in had[first]}
-            states = {
-                (other, needed or not (check.agrees or one is None or other is None))
-                for one, needed in states
-                for other in had[second]
-                if one is None or other is None or _fits(check, other / one)
-            }
-            if not states:
-                return False
-        return any(needed for _, needed in states)
+        shots = [number for number, sequence in enumerate(self._sequences) for _ in sequence]
+        first = numbers[0] if numbers else 0
+        return {0: [[each if n >= first else [] for each, n in zip(had, shots, strict=True)]]}
 
 
-def _fits(check: RatioCheck, ratio: float) -> bool:
-    """Return whether the frames may have this ratio of exposures."""
-    return check.measured is not None and abs(math.log(check.measured / ratio)) <= math.log1p(
-        check.tolerance
-    )
+def _clamped(settings: _Asked) -> Iterator[tuple[Explanation, tuple[float, float]]]:
+    """Yield that the longest of the times, or the shortest, all are one time, and its limits."""
+    times = sorted({setting.time_s for setting in settings if setting is not None})
+    for limits, is_longest in product(pairwise(times), (True, False)):
+        had: list[list[Had]] = []
+        for each in settings:
+            if each is None:
+                had.append([])
+            elif (each.time_s >= limits[1]) is is_longest:
+                had.append([Had(each.exposure / each.time_s, is_known=False)])
+            else:
+                had.append([Had(each.exposure)])
+        yield had, limits
+
+
+def _log_sum(values: Iterable[float]) -> float:
+    """Return the logarithm of the sum of what has these logarithms."""
+    found = [*values, -math.inf]
+    most = max(found)
+    if most == -math.inf:
+        return most
+    return most + math.log(sum(math.exp(each - most) for each in found))
+
+
+def _log_mean(values: Iterable[float]) -> float:
+    found = list(values)
+    return _log_sum(found) - math.log(len(found))

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +20,12 @@ from numpy.typing import NDArray
 
 from camctl.evidence.patch_errors import MOST_OFFSET, NORMAL_MAD, PatchErrors, weighted_median
 from camctl.evidence.patches import Patches, sample_patches
-from camctl.evidence.ratio_check import LAMP_DEPTH, LEAST_COMPARED, SIGNIFICANCE, RatioCheck
+from camctl.evidence.ratio_check import (
+    LAMP_DEPTH,
+    LEAST_COMPARED,
+    RatioCheck,
+    significant_sigmas,
+)
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import Layout
 from camctl.model.noise import FrameNoise
@@ -98,12 +102,13 @@ class NeighbourCheck:
         self._response_error = response_error
         self.scale = SensorModel(real, black)
         self._layout = layout
-        self._sigmas = -NormalDist().inv_cdf(SIGNIFICANCE / 2 / max(pairs, 1))
+        self._sigmas = significant_sigmas(pairs)
         self._samples: dict[int, FrameSample] = {}
 
-    def add(self, position: int, pixels: Pixels, noise: FrameNoise | None = None) -> None:
-        """Keep a sample of the frame at `position` of the sequence."""
-        self._samples[position] = self.sample(pixels, noise)
+    def add(self, position: int, pixels: Pixels, noise: FrameNoise | None = None) -> FrameSample:
+        """Keep a sample of the frame at `position` of the sequence, and return it."""
+        sample = self._samples[position] = self.sample(pixels, noise)
+        return sample
 
     def remove(self, position: int) -> None:
         """Forget the frame at `position`: it will be shot again."""
@@ -160,7 +165,12 @@ class NeighbourCheck:
         if not votes.logs.size or votes.tolerance > _WIDEST:
             off = self._rough(short, long, ratio)
         if abs(off) > _FAR:  # its errors are those of another ratio
-            votes = self._votes(short, long, ratio / math.exp(off))
+            found = ratio / math.exp(off)
+            if found >= 1:
+                votes = self._votes(short, long, found)
+            else:  # the frame that was to be the longer one is the shorter one
+                votes = self._votes(long, short, 1 / found)
+                votes = votes._replace(logs=-votes.logs, mean=-votes.mean)
             votes = votes._replace(logs=votes.logs + off, mean=votes.mean + off)
         logs, counts = votes.logs, votes.counts
         # Blooming and smear saturate parts of a picture whose other parts have the right light.
@@ -249,8 +259,12 @@ class NeighbourCheck:
         one, other = (
             np.where(usable, sensor.light[each.patches], 0.0).sum(axis=1) for each in (short, long)
         )
-        lit = (one > 0) & (other > 0)
-        return float(np.median(np.log(one[lit] * ratio / other[lit]))) if lit.any() else 0.0
+        # Of what is rounded to black only the most is known, which may contradict the ratio.
+        least = self._sigmas * 12**-0.5 * sensor.level * np.maximum(usable.sum(axis=1), 1)
+        logs = np.log(np.maximum(one, least) * ratio / np.maximum(other, least))
+        shows = ((one > least) | (logs < 0)) & ((other > least) | (logs > 0)) & usable.any(axis=1)
+        shows &= (one > least) | (other > least)
+        return float(np.median(logs[shows])) if shows.any() else 0.0
 
     def _saturated_votes(
         self, dim: FrameSample, bright: FrameSample, ratio: float

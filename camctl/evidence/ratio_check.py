@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import pairwise
+from statistics import NormalDist
 
 from pydantic import BaseModel, ConfigDict
 
@@ -35,6 +36,11 @@ _SMALL_THING = 0.02
 
 #: Share of a frame's samples that must be compared before its exposure counts as contradicted.
 LEAST_COMPARED = 0.1
+
+
+def significant_sigmas(pairs: int) -> float:
+    """Return from how many standard deviations on one of `pairs` ratios is no noise."""
+    return -NormalDist().inv_cdf(SIGNIFICANCE / 2 / max(pairs, 1))
 
 
 class RatioCheck(ReportModel):

@@ -40,8 +40,8 @@ def error(report: CaptureReport, truth: CaptureReport) -> float:
 
 
 def test_estimates_replace_wrong_exposures() -> None:
-    # Frame 2 has 1.3 times its exposure in both tries.
-    faults = Faults(wrong_exposure=dict.fromkeys((1, 3, 4, 5), 1.3))
+    # Frame 2 has 1.3 times its exposure whenever it is shot: alone, and where the camera settles.
+    faults = Faults(wrong_exposure=dict.fromkeys((1, 3, 5), 1.3))
     truth = shoot()
     wrong, estimated = shoot(faults), shoot(faults, estimate=True)
     assert not wrong.trustworthy

@@ -99,7 +99,7 @@ def test_one_percent_is_within_the_tolerance(sensor: str, factor: float) -> None
 
 
 def test_untrustworthy_capture_has_all_its_files(tmp_path: Path) -> None:
-    faults = Faults(wrong_exposure=dict.fromkeys((1, 3, 4, 5), 0.5))
+    faults = Faults(wrong_exposure=dict.fromkeys((1, 3, 4, 5), 0.25))
     with small_camera(faults=faults) as camera:
         report = capture(camera, MAINS, tmp_path / "out")
     assert report.status == "complete"
