@@ -81,7 +81,8 @@ class BatchScore:
         self._levels = problem.response.levels.astype(dtype)
         size = problem.n * M
         self._jitter_factors = problem.jitter_factors()
-        self._batch = max(1, min(MAX_BATCH, CACHE_ELEMENTS // size))
+        # All of a table's knots divide the gaps, beside the levels.
+        self._batch = max(1, min(MAX_BATCH, CACHE_ELEMENTS // (size + self._desired.knots.size)))
         shape = (self._batch, size + 1)
         self._edges: Work = np.zeros((self._batch, size + 2), dtype=dtype)
         self._work: tuple[Work, Work, Work] = (
@@ -140,20 +141,33 @@ class BatchScore:
     def _divided(self, edges: Work) -> FloatArray:
         """Return the integrals over ascending edges (B, N), with gaps divided at the knots.
 
-        Between two knots of a table g' is constant, so that each piece has a closed form.
+        Between two knots of a table g' is constant, so that each piece has a closed form: from an
+        edge to the next knot, from the last knot to an edge, and all between two knots.
         """
         desired, rows = self._desired, len(edges)
-        knots = np.concatenate([[desired.e_min], desired.knots])
-        ends = np.concatenate([edges, np.broadcast_to(knots, (rows, knots.size))], axis=1)
-        order = np.argsort(ends, axis=1, kind="stable")
-        ends = np.take_along_axis(ends, order, axis=1)
-        gap = np.cumsum(order < edges.shape[1], axis=1)[:, :-1] - 1
-        width = np.take_along_axis(np.diff(edges, axis=1), np.minimum(gap, edges.shape[1] - 2), 1)
-        length = np.diff(np.maximum(ends, desired.e_min), axis=1)
-        slope = self._G * desired.slope((ends[:, 1:] + ends[:, :-1]) / 2)
-        # A piece has length only where its gap has width.
-        height = np.maximum(slope - 1 / np.where(length > 0, width, np.inf), 0.0)
-        return np.asarray((height**self._p * length).sum(axis=1))
+        knots = np.concatenate([[desired.e_min], desired.knots, [1.0]])
+        slopes = self._G * desired.slope(knots[:-1])
+        inverse = 1 / np.maximum(np.diff(edges, axis=1), self._tiny)
+        np.maximum(edges, desired.e_min, out=edges)
+        low, high = edges[:, :-1], edges[:, 1:]
+        first = np.searchsorted(knots[1:-1], low, side="right")
+        last = first[:, 1:]
+        begun = self._pieces(slopes[first], inverse, np.minimum(knots[first + 1], high) - low)
+        length = np.where(last > first[:, :-1], high[:, :-1] - knots[last], 0.0)
+        ended = self._pieces(slopes[last], inverse[:, :-1], length)
+        counts = np.diff(first, axis=1, append=slopes.size)
+        between = np.repeat(inverse.ravel(), counts.ravel()).reshape(rows, slopes.size)
+        between[np.arange(rows)[:, np.newaxis], first] = np.inf  # divided by an edge
+        return begun + ended + self._pieces(slopes, between, np.diff(knots))
+
+    def _pieces(self, slope: FloatArray, inverse: FloatArray, length: FloatArray) -> FloatArray:
+        """Return the integrals over pieces (B, N) of gaps of which 1 / width is given, (B,)."""
+        height = slope - inverse
+        np.maximum(height, 0.0, out=height)
+        if self._p != 1:
+            height **= self._p
+        height *= length
+        return np.asarray(height.sum(axis=1))
 
     def _rises(self, edges: Work) -> Work:
         """Return the difference of u between neighbouring edges from e_min on."""

@@ -186,9 +186,9 @@ def test_the_work_does_not_grow_with_the_narrowness_of_the_range(
 def test_few_irradiances_are_convolved_where_white_cuts_off_much_noise(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """They are computed apart from the others, whose sums are normal: 16 bits, 6 frames."""
-    camera = EffectiveCamera.of(linear_response(16), [1, 2, 5, 12, 30, 75])
-    noise = [FrameNoise(0.1, 3.0)] * 6
+    """They are computed apart from the others, whose sums are normal: 13 bits, 4 frames."""
+    camera = EffectiveCamera.of(linear_response(13), [1, 2, 5, 12])
+    noise = [FrameNoise(0.8, 3.0)] * 4
     posterior = Posterior(camera, LOG, noise)
     expected, sizes = posterior.mse, []
     convolve = distribution._convolve
