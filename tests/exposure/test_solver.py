@@ -60,9 +60,20 @@ def test_five_and_six_exposures_with_a_fifth_of_the_effort_are_within_one_percen
     assert found.xi <= cell.best_xi * 1.01
 
 
+def rough_table(points: int) -> DesiredResponse:
+    """Return a table of 1:1,000 whose slope jumps at each point; a fifth of it is flat."""
+    rng = np.random.default_rng(points)
+    steps = np.where(rng.random(points - 1) < 0.2, 0.0, rng.random(points - 1))
+    u = np.cumsum(np.append(0.0, steps))
+    return tabulated_desired(np.geomspace(1e-3, 1, points), u, name=f"{points} points")
+
+
 @pytest.mark.parametrize(
     ("desired", "p", "accuracy"),
     [
+        (rough_table(7), 1.0, 1e-12),
+        (rough_table(5000), 1.0, 1e-12),
+        (rough_table(5000), 2.0, 1e-12),
         (desired_response("linear", 1000.0), 1.0, 1e-4),
         (desired_response("linear", 1000.0), 2.0, 1e-3),
         (desired_response("linear", 1000.0), 1.5, 1e-3),
