@@ -245,11 +245,11 @@ def _wait(model: Model) -> Screen:
         return replace(pages.BLANK, lines=(Line((f"shooting {text}", text)),), share=share)
     if progress is None or progress.total <= 0:
         return replace(pages.BLANK, lines=(Line(_WAITING.get(model.state, ("",))),))
-    unit = "frames " if progress.stage == "shooting" else ""
-    text = f"{progress.done} of {progress.total} {unit}{progress.stage}"
+    unit, stage = ("frames ", "taken") if progress.stage == "shooting" else ("", progress.stage)
+    text = f"{progress.done} of {progress.total} {unit}{stage}"
+    short = f"{progress.done}/{progress.total} {stage}"
     if progress.stage in ("writing", "metering"):
         text = progress.stage
-    short = f"{progress.done}/{progress.total} {progress.stage}"
     if model.state in (State.CALIBRATING, State.CALIBRATION_STOPPING):
         text, short = f"Measuring {progress.stage}", progress.stage
     return replace(

@@ -22,13 +22,13 @@ from camctl.system.picture_operations import dilated, opencv
 _SHOWN = {".png": "image/png", ".jpg": "image/jpeg"}
 """Files that a browser shows, by suffix; it keeps the others."""
 _BUSY = {State.SHOOTING, State.SERIES_SHOOTING, State.RESUMING, State.CANCELLING, State.STOPPING}
-_COLOURS = {
-    "dark": (80, 120, 255),
-    "saturated": (255, 60, 60),
-    "moved": (255, 200, 60),
-    "hot": (90, 255, 140),
+_LAYERS = {
+    "dark": ("Too dark", (80, 120, 255)),
+    "saturated": ("Saturated", (255, 60, 60)),
+    "moved": ("Moved", (255, 200, 60)),
+    "hot": ("Hot pixels", (90, 255, 140)),
 }
-"""The layers of the mask, and the colours in which they are painted."""
+"""The layers of the mask, what they are called, and the colours in which they are painted."""
 _MASK_SIDE = 1600
 """Pixels of the longest side of a mask at most: a page shows no more of it."""
 
@@ -130,11 +130,21 @@ class _Radiance:
 _RADIANCE = _Radiance()
 
 
+def layers(_: Studio, request: Request) -> Answer:
+    """Return the layers of a mask: ``captures/layers``."""
+    return Answer.of(
+        [
+            {"name": name, "title": title, "colour": "rgb({}, {}, {})".format(*colour)}
+            for name, (title, colour) in _LAYERS.items()
+        ]
+    )
+
+
 def _bits() -> dict[str, int]:
     """Return the bit of each layer in the mask."""
     from camctl.pictures.render import CONTRADICTING, DARK, HOT, SATURATED
 
-    return dict(zip(_COLOURS, (DARK, SATURATED, CONTRADICTING, HOT), strict=True))
+    return dict(zip(_LAYERS, (DARK, SATURATED, CONTRADICTING, HOT), strict=True))
 
 
 def light(studio: Studio, request: Request) -> Answer:
@@ -174,9 +184,9 @@ def _numbers(values: Any) -> list[float | None]:
 def layer(studio: Studio, request: Request) -> Answer:
     """Return a layer of the mask as a picture to lay over: ``captures/layer/NAME/LAYER``."""
     folder, _, name = _found(studio, request.rest)
-    if name not in _COLOURS or (cv2 := opencv()) is None:
+    if name not in _LAYERS or (cv2 := opencv()) is None:
         raise RefusedError(NOT_FOUND, "there is no such layer")
-    bit, colour = _bits()[name], _COLOURS[name]
+    bit, colour = _bits()[name], _LAYERS[name][1]
     *_, mask = _RADIANCE.of(folder)
     found = np.asarray(np.atleast_3d((mask & bit) > 0).any(axis=2))
     step = max(1, -(-max(found.shape) // _MASK_SIDE))

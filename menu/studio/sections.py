@@ -65,6 +65,7 @@ SECTIONS = (
             "small": captures.small,
             "light": captures.light,
             "layer": captures.layer,
+            "layers": captures.layers,
         },
         post={"delete": captures.delete},
     ),

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camctl.menu.data import Settings
+from camctl.menu.data import Progress, Settings
 from camctl.menu.layout import binned, grid
 from camctl.menu.model import Model, State
 from camctl.menu.ports import Line, Screen
@@ -95,6 +95,12 @@ def test_result_names_planned_levels_where_they_are_others(
         FULL, state=State.RESULT, summary=replace(FULL.summary, planned_levels=planned, notes=())
     )
     assert line in [each.strip() for each in grid(screen(model), columns, 16).lines]
+
+
+def test_capture_says_how_many_frames_are_taken() -> None:
+    model = replace(FULL, state=State.SHOOTING, progress=Progress(1, 3, "shooting", 0.2))
+    assert grid(screen(model), 20, 4).lines[1].strip() == "1 of 3 frames taken"
+    assert grid(screen(model), 16, 2).lines[1].strip() == "1/3 taken"
 
 
 def test_histogram_is_drawn_in_one_row_or_several() -> None:

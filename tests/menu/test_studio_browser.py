@@ -78,16 +78,28 @@ def test_capture_is_taken_judged_and_loaded(
     page.wait_for_selector(".choice:nth-child(4) img")
     page.click("[data-section=time]")
     slider = page.wait_for_selector(".dials input")
-    before = page.inner_text(".dials dl")
+    before = page.inner_text(".dials")
     slider.focus()
     page.keyboard.press("ArrowLeft")
-    assert page.inner_text(".dials dl") != before
-    page.click("[data-take]")
+    assert page.inner_text(".dials") != before
+    assert page.locator(".dials dd:has-text('effective levels')").evaluate(_IN_SIGHT)
+    page.keyboard.press("Escape")
+    page.wait_for_selector("[data-entry]:has-text('Recommended')")
+    page.click("text=Time / accuracy")
+    page.wait_for_selector(".dials input")
+    page.focus(".dials input")
+    page.keyboard.press("Enter")
     page.click("[data-action=shoot]")
     page.wait_for_selector(".picture")
     page.focus(".picture")
     page.keyboard.press("ArrowRight")
     page.wait_for_selector(".reading:has-text('±')")
+    page.click("[data-layer=dark]")
+    painted = page.wait_for_selector("[data-kind=dark]").evaluate(_COLOURS)
+    sample = page.locator("[data-layer=dark] .sample").evaluate(
+        "each => getComputedStyle(each).backgroundColor"
+    )
+    assert painted == [sample]
     with page.expect_download() as loaded:
         page.click("a:has-text('radiance.exr')")
     (folder,) = tmp_path.glob("capture-*")
@@ -154,6 +166,21 @@ def test_camera_that_is_unplugged_comes_back(show: Show) -> None:
     page.wait_for_selector("[data-action=shoot]")
 
 
+_COLOURS = """async image => {
+  await image.decode();
+  const canvas = new OffscreenCanvas(image.naturalWidth, image.naturalHeight);
+  const context = canvas.getContext("2d");
+  context.drawImage(image, 0, 0);
+  const {data} = context.getImageData(0, 0, canvas.width, canvas.height), found = new Set();
+  for (let at = 0; at < data.length; at += 4) {
+    if (data[at + 3]) { found.add(`rgb(${data[at]}, ${data[at + 1]}, ${data[at + 2]})`); }
+  }
+  return [...found];
+}"""
+_IN_SIGHT = """element => {
+  const box = element.getBoundingClientRect(), seen = main.getBoundingClientRect();
+  return box.top >= seen.top && box.bottom <= seen.bottom;
+}"""
 _CONTRASTS = """() => {
   const channels = text => text.match(/[\\d.]+/g).map(Number);
   const light = colour => channels(colour).slice(0, 3).map(each => {
@@ -168,9 +195,10 @@ _CONTRASTS = """() => {
     return "rgb(255, 255, 255)";
   };
   return [...document.querySelectorAll("body *")].filter(each => each.checkVisibility()
-    && [...each.childNodes].some(node => node.nodeType === 3 && node.textContent.trim()))
+    && (each.placeholder
+      || [...each.childNodes].some(node => node.nodeType === 3 && node.textContent.trim())))
     .map(each => {
-      const style = getComputedStyle(each);
+      const style = getComputedStyle(each, each.placeholder ? "::placeholder" : null);
       const text = light(each instanceof SVGElement ? style.fill : style.color);
       const [low, high] = [text, light(ground(each))].sort((a, b) => a - b);
       return [(high + 0.05) / (low + 0.05), each.tagName, each.textContent.slice(0, 40)];
@@ -199,6 +227,8 @@ def test_photographs_that_are_dropped_are_merged_and_opened(show: Show, tmp_path
     page = show(job_with(simulated))
     page.wait_for_selector("[data-action=shoot]")
     page.click("[data-section=merge]")
+    page.wait_for_selector("#times")
+    assert [each for each in page.evaluate(_CONTRASTS) if each[0] < LEAST_CONTRAST] == []
     times = (1 / 60, 1 / 15, 1 / 4)
     names = [
         str(save(tmp_path / f"photograph{place}.png", film(photograph(time_s))))

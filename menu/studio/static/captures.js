@@ -78,11 +78,12 @@ function result(state, name) {
     at(place.x + size * step[event.key][0], place.y + size * step[event.key][1]);
     event.preventDefault();
   });
-  const kinds = [["dark", "Too dark"], ["saturated", "Saturated"], ["moved", "Moved"],
-    ["hot", "Hot pixels"]];
-  const switches = h("div", {class: "buttons", role: "group", "aria-label": "layers"},
-    kinds.map(([kind, title]) => {
-      const button = h("button", {"aria-pressed": "false", "data-layer": kind}, title);
+  const switches = h("div", {class: "buttons", role: "group", "aria-label": "layers"});
+  get("captures/layers").then(answer => answer.json()).then(kinds => switches.append(
+    ...kinds.map(({name: kind, title, colour}) => {
+      const sample = h("span", {class: "sample"});
+      sample.style.background = colour;
+      const button = h("button", {"aria-pressed": "false", "data-layer": kind}, sample, title);
       button.addEventListener("click", () => {
         const old = layers.querySelector(`[data-kind="${kind}"]`);
         button.setAttribute("aria-pressed", String(!old));
@@ -91,7 +92,7 @@ function result(state, name) {
           src: `captures/layer/${encode(name)}/${kind}`}));
       });
       return button;
-    }));
+    }))).catch(error => note(error.message));
   const files = h("ul", {class: "plain files"});
   get("captures/files/" + encode(name)).then(answer => answer.json()).then(found => {
     files.replaceChildren(...found.map(each => h("li", {}, h("a", {

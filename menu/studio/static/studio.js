@@ -157,7 +157,9 @@ async function show(state) {
 }
 
 document.addEventListener("keydown", event => {
-  const typing = event.target.closest("input, select, textarea, [data-keys]");
+  // The dial and the picture leave the keys that lead away to the menu.
+  const typing = event.target.closest("input[type=range], [data-keys]")
+    ? !/^(Escape|[1-9])$/.test(event.key) : event.target.closest("input, select, textarea");
   if (event.ctrlKey || event.altKey || event.metaKey || typing || !studio.state) { return; }
   const names = {ArrowUp: "up", ArrowDown: "down", ArrowLeft: "left", ArrowRight: "right",
     Escape: "exit"};

@@ -2,7 +2,7 @@
 import {choose, command, details, h, levels, renew, svg, time} from "./studio.js";
 
 const WIDTH = 640, HEIGHT = 300, LEFT = 60, RIGHT = 20, TOP = 14, BOTTOM = 58;
-let root, dial, picture, facts, slider, drawn = null, sent = -1;
+let root, dial, picture, facts, set, slider, drawn = null, sent = -1;
 
 /* The functions from a point or a rival to its place; the curve and the rivals fit in. */
 function scale(front, rivals) {
@@ -74,11 +74,11 @@ function draw(front, rivals, selected) {
   ];
   dial.replaceChildren(...parts);
   facts.replaceChildren(details([
-    ["time", time(point.wall_s)], ["of it exposed", time(point.shutter_s)],
-    ["accuracy", levels(point.effective_levels) + " effective levels, noise counted"],
+    ["accuracy", levels(point.effective_levels) + " effective levels"],
+    ["time", time(point.wall_s)], ["exposed", time(point.shutter_s)],
     ["exposures", String(point.count) + (point.is_recommended ? ", recommended" : "")],
-    ["set", point.frames.join(", ")],
   ]));
+  set.replaceChildren(details([["set", point.frames.join(", ")]]));
 }
 
 function move(state, at) {
@@ -100,12 +100,14 @@ function showDial(state) {
   const {front, rivals, request: key} = state;
   if (drawn !== key || !dial?.isConnected) {
     drawn = key;
+    const take = () => choose({index: Number(slider.value), take: true});
     dial = svg("svg", {viewBox: `0 0 ${WIDTH} ${HEIGHT}`, class: "dial", "aria-hidden": "true"});
     picture = h("img", {alt: "the scene with the noise of this set, single pixels",
       class: "noise"});
-    facts = h("div", {});
+    [facts, set] = [h("div", {}), h("div", {})];
     slider = h("input", {type: "range", min: 0, max: front.length - 1, step: 1,
       value: state.selected, "aria-label": "time of the capture",
+      onkeydown: event => { if (event.key === "Enter") { take(); } },
       oninput: () => move(state, Number(slider.value))});
     const drag = event => {
       if (event.buttons === 0 && event.type === "pointermove") { return; }
@@ -124,12 +126,11 @@ function showDial(state) {
     });
     dial.addEventListener("pointermove", drag);
     sent = state.selected;
-    const take = () => choose({index: Number(slider.value), take: true});
     root.replaceChildren(tabs(state, take), h("div", {class: "dials"},
       h("div", {class: "card"}, dial, slider, h("p", {class: "pale"},
-        "Drag, or use the arrow keys. Green: recommended."),
+        "Drag, or use the arrow keys and Enter. Green: recommended. Noise is counted."),
       rivals.length ? rivalTable(front, rivals) : null),
-      h("div", {class: "card"}, picture, facts)));
+      h("div", {class: "card"}, facts, picture, set)));
   }
   // What this page has just chosen is already shown.
   const own = document.activeElement === slider || dial.matches(":active");
