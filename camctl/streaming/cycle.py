@@ -10,7 +10,6 @@ frame and the pixels have agreed with that.
 
 from __future__ import annotations
 
-import math
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
@@ -25,13 +24,9 @@ from camctl.interface.cycle import CycleMethod, check_not_empty
 from camctl.streaming.control_delay import ASSUMED_LARGEST, ControlDelay
 from camctl.streaming.pipeline import ExposurePipeline, Shot
 from camctl.streaming.source import FrameStamp, NumberedSource
-from camctl.streaming.stated_exposures import StatedExposures
+from camctl.streaming.stated_exposures import StatedExposures, is_same
 
 DataT = TypeVar("DataT")
-
-#: Relative difference up to which a stated exposure is that of a setting: cameras state times in
-#: whole lines of the sensor, of which a frame has a thousand.
-_STATED_TOLERANCE = 2e-3
 
 
 @dataclass(frozen=True)
@@ -73,7 +68,7 @@ class ExposureCycle(Generic[DataT]):
         settings: Sequence[ExposureSetting],
     ) -> None:
         check_not_empty(settings)
-        self._source = StatedExposures(source, brightness)
+        self._source = StatedExposures.of(source, brightness)
         self._pipeline = ExposurePipeline(self._source, delay, brightness)
         self._bounds = self._delay = delay
         self._settings = tuple(settings)
@@ -159,13 +154,13 @@ class ExposureCycle(Generic[DataT]):
         if data is None:
             return None
         place = CyclePlace(stamp.number, write.plan)
-        applied = stamp.applied if self.is_stated and stamp.applied else write.applied
+        applied = self._source.applied(stamp, write.applied)
         return Shot(write.index, applied, stamp.time_s, data, place), write.requested
 
     def _write_of(self, stamp: FrameStamp) -> _Write | None:
         """Return the write whose setting a frame has; None: that is not certain."""
-        if self.is_stated and stamp.applied is not None:
-            return self._write_stated(stamp.number, stamp.applied)
+        if (stated := self._source.believed(stamp)) is not None:
+            return self._write_stated(stamp.number, stated)
         writes = self._writes
         if not stamp.is_certain:
             writes.clear()
@@ -186,7 +181,7 @@ class ExposureCycle(Generic[DataT]):
         for place in order:
             write = writes[place]
             is_possible = place == 0 or write.slot - 1 <= number
-            if is_possible and _is_same(write.applied, stated):
+            if is_possible and is_same(write.applied, stated):
                 for _ in range(place):
                     writes.popleft()
                 return write
@@ -217,13 +212,6 @@ class ExposureCycle(Generic[DataT]):
         most = max(ASSUMED_LARGEST, self._delay.largest) + 2 + len(self._settings)
         while len(self._writes) > most:  # frames are lost, and no frame says which
             self._writes.popleft()
-
-
-def _is_same(one: ExposureSetting, other: ExposureSetting) -> bool:
-    return all(
-        math.isclose(a, b, rel_tol=_STATED_TOLERANCE)
-        for a, b in ((one.time_s, other.time_s), (one.gain, other.gain))
-    )
 
 
 class StreamCycle(Generic[DataT]):

@@ -22,6 +22,7 @@ from camctl.interface.camera import CyclePlace
 from camctl.interface.controls import ExposureSetting
 from camctl.streaming.control_delay import ASSUMED_LARGEST, ControlDelay, DelayOrigin
 from camctl.streaming.source import FrameStamp, NumberedSource, irregular_frames, same_brightness
+from camctl.streaming.stated_exposures import StatedExposures, is_same
 
 DataT = TypeVar("DataT")
 
@@ -84,8 +85,6 @@ class ExposurePipeline(Generic[DataT]):
         delay: of its exposure control
         brightness: mean brightness of a frame as a share of full scale, such as `mean_brightness`;
             needed unless the delay is guaranteed, to see when an exposure has settled
-        proves: whether a frame proves by itself that it has a setting; the stream does not wait
-            for more frames then, where its delay is not constant
 
     Attributes:
         delay: of all controls, from the next list of settings on
@@ -96,10 +95,8 @@ class ExposurePipeline(Generic[DataT]):
         source: NumberedSource[DataT],
         delay: ControlDelay,
         brightness: Callable[[DataT], float] | None = None,
-        proves: Callable[[DataT, ExposureSetting], bool] | None = None,
     ) -> None:
-        self._proves = proves
-        self._source = source
+        self._source = StatedExposures.of(source, brightness)
         self.delay = self._delay = delay
         #: The last settings that were written, with the last number that the first slot not begun
         #: at the write may have had.
@@ -155,6 +152,11 @@ class ExposurePipeline(Generic[DataT]):
         """Write a setting and return a frame that surely has it; raises as `shoot` does."""
         self._delay = self.delay
         return self._settled(self._write_now(index, setting))
+
+    @property
+    def is_stated(self) -> bool:
+        """Whether frames have the exposures that the camera states of them."""
+        return self._source.are_believed
 
     def release(self) -> tuple[NumberedSource[DataT], Callable[[DataT], float] | None]:
         """Return the stream and the brightness of its frames, for settings written elsewhere."""
@@ -236,7 +238,8 @@ class ExposurePipeline(Generic[DataT]):
                 continue
             shot = pending.popleft()
             lost = losses[shot.index]
-            taken[shot.index] = Shot(shot.index, shot.applied, stamp.time_s, data, lost=lost)
+            applied = self._source.applied(stamp, shot.applied)
+            taken[shot.index] = Shot(shot.index, applied, stamp.time_s, data, lost=lost)
             while done < len(settings) and done in taken:  # the frame at rest is nobody's
                 yield taken.pop(done)
                 done, attempts = done + 1, 0
@@ -252,7 +255,7 @@ class ExposurePipeline(Generic[DataT]):
             yield shot
 
     def _settled(self, written: _Pending) -> Shot[DataT]:
-        """Return a frame that proves its setting, or the first frame after the delay.
+        """Return a frame that states its setting, or the first frame after the delay.
 
         Unless the delay is guaranteed, that is the second of two that are equally bright.
         """
@@ -260,23 +263,23 @@ class ExposurePipeline(Generic[DataT]):
         looked_at = unread = 0
         while looked_at < _ATTEMPTS:
             stamp = self._next_frame()
-            is_early = stamp.number < written.latest
-            if stamp.number < written.earliest or (is_early and self._proves is None):
+            stated = self._source.believed(stamp)
+            is_stated = stated is not None and is_same(stated, written.applied)
+            if stamp.number < written.earliest or (stamp.number < written.latest and not is_stated):
                 continue
-            looked_at += not is_early
-            data = self._source.read() if stamp.is_certain or self._proves else None
+            looked_at += 1
+            data = self._source.read() if stamp.is_certain or is_stated else None
             if data is None:
-                unread += not is_early and stamp.is_certain
+                unread += stamp.is_certain
                 previous = None
                 continue
-            shot = Shot(written.index, written.applied, stamp.time_s, data, lost=unread)
-            if self._proves is not None and self._proves(data, written.applied):
-                return shot
-            if not stamp.is_certain:
-                previous = None
-            if is_early or not stamp.is_certain:
-                continue
-            if self._brightness is None or self._delay.origin is DelayOrigin.GUARANTEED:
+            applied = self._source.applied(stamp, written.applied)
+            shot = Shot(written.index, applied, stamp.time_s, data, lost=unread)
+            if (
+                is_stated
+                or self._brightness is None
+                or self._delay.origin is DelayOrigin.GUARANTEED
+            ):
                 return shot
             light = self._brightness(data)
             if (

@@ -6,8 +6,9 @@ stated exposure differ in brightness, or a longer one is not brighter.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Generic, Self, TypeVar
 
 from camctl.interface.controls import ExposureSetting
 from camctl.streaming.source import FrameStamp, NumberedSource, Written, same_brightness
@@ -18,6 +19,17 @@ DataT = TypeVar("DataT")
 _FRAMES = 3
 #: Mean brightness, as a share of full scale, from which a longer exposure need not be brighter.
 _FULL = 0.95
+#: Relative difference up to which a stated exposure is that of a setting: cameras state times in
+#: whole lines of the sensor, of which a frame has a thousand.
+_TOLERANCE = 2e-3
+
+
+def is_same(one: ExposureSetting, other: ExposureSetting) -> bool:
+    """Return whether a stated exposure is that of a setting."""
+    return all(
+        math.isclose(a, b, rel_tol=_TOLERANCE)
+        for a, b in ((one.time_s, other.time_s), (one.gain, other.gain))
+    )
 
 
 class StatedExposures(Generic[DataT]):
@@ -42,6 +54,20 @@ class StatedExposures(Generic[DataT]):
         self.are_believed = False
         self.number = -1
         self.write: Callable[[ExposureSetting], Written] = source.write
+
+    @classmethod
+    def of(cls, source: NumberedSource[DataT], brightness: Callable[[DataT], float] | None) -> Self:
+        """Return a source that compares; one that does already goes on, with what it has found."""
+        return source if isinstance(source, cls) else cls(source, brightness)
+
+    def believed(self, stamp: FrameStamp) -> ExposureSetting | None:
+        """Return the exposure that a frame states; None: it states none, or it is not believed."""
+        return stamp.applied if self.are_believed else None
+
+    def applied(self, stamp: FrameStamp, written: ExposureSetting) -> ExposureSetting:
+        """Return the exposure of a frame that should have a setting that was written."""
+        stated = self.believed(stamp)
+        return written if stated is None or is_same(stated, written) else stated
 
     def next_frame(self) -> FrameStamp:
         """Return the next frame's stamp; its pixels are compared with others while they count."""

@@ -1,8 +1,8 @@
 """Machine-vision cameras that speak GenICam, on GigE Vision or USB3 Vision.
 
 A frame is released by software where the camera allows it, and else taken from a free run.  In both
-the control delay says which frame has which setting; what the camera states in its chunk data is
-compared with that, and the pixels decide.
+the control delay says which frame has which setting, and what the camera states in its chunk data,
+once the pixels have agreed with that.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from camctl.drivers.common.stream_camera import StreamCamera
 from camctl.drivers.genicam import sequencer
 from camctl.drivers.genicam.controls import TOLERANCE, ExposureControl
-from camctl.drivers.genicam.evidence import Scale, StatedExposures
+from camctl.drivers.genicam.evidence import Scale
 from camctl.drivers.genicam.formats import choose_format
 from camctl.drivers.genicam.levels import has_no_gamma, sample_levels
 from camctl.drivers.genicam.libraries import DRIVER, camera_info
@@ -110,6 +110,11 @@ class GenicamCamera(StreamCamera[Received]):
         return f"{self._format.name.lower()}-{columns}x{rows}-{self._rate}"
 
     @property
+    def controls(self) -> ExposureControls:
+        controls = super().controls
+        return replace(controls, timing=self._timing(self._pipeline.delay))
+
+    @property
     def device(self) -> OpenDevice:
         """The open device, for its features."""
         self._check_open()
@@ -130,8 +135,7 @@ class GenicamCamera(StreamCamera[Received]):
         self._check_open()
         used = self._delay(delay)
         self._pipeline.delay = used
-        controls = with_delay(self.controls, used, self.info.id)
-        self._controls = replace(controls, timing=self._timing(used))
+        self._controls = with_delay(self.controls, used, self.info.id)
 
     # ---- opening
 
@@ -163,9 +167,7 @@ class GenicamCamera(StreamCamera[Received]):
         if options.black_level is not None:
             device.write("BlackLevel", options.black_level)
         self._is_triggered = choose_trigger(device, name, options.trigger)
-        self._has_chunks, findings = (
-            turn_chunks_on(device) if options.chunks == "auto" else (False, [])
-        )
+        findings = turn_chunks_on(device) if options.chunks == "auto" else []
         self._sets = sequencer.sets(device) if options.sequencer == "on" else 0
         if options.sequencer == "on" and not self._sets:
             raise UsageError(f"{name} has no sequencer", hint="leave it off")
@@ -186,7 +188,6 @@ class GenicamCamera(StreamCamera[Received]):
             levels.white,
             response or linear_response(levels.bits, levels=levels.white - levels.black),
         )
-        self._stated = StatedExposures(self._scale)
         delay = self._delay_in_profile(info, first.shape)
         self._pipeline.delay = delay
         if not self._is_triggered:
@@ -206,7 +207,6 @@ class GenicamCamera(StreamCamera[Received]):
             response_origin=ResponseOrigin.STATED if is_stated else ResponseOrigin.ASSUMED,
             delay_frames=delay.frames,
             frame_interval_s=interval_s,
-            timing=self._timing(delay),
             tolerance=TOLERANCE,
             findings=(*exposure.findings, *findings, *levels.findings, *delay.findings(info.id)),
         )
@@ -224,7 +224,7 @@ class GenicamCamera(StreamCamera[Received]):
                 self._silence_s,
                 lambda frame: self._statement(frame.chunks),
             )
-            self._pipeline = ExposurePipeline(slots, delay, self._brightness, self._proves)
+            self._pipeline = ExposurePipeline(slots, delay, self._brightness)
             self._overhead_s, first = slots.timed(self._exposure.gains.minimum, self._samples)
             return first
         self._announced_s = interval_s
@@ -248,7 +248,7 @@ class GenicamCamera(StreamCamera[Received]):
             stated=lambda frame: self._statement(frame.chunks),
         )
         self._stream.start()
-        self._pipeline = ExposurePipeline(self._stream, delay, self._brightness, self._proves)
+        self._pipeline = ExposurePipeline(self._stream, delay, self._brightness)
         return frames
 
     # ---- delay and time
@@ -271,7 +271,8 @@ class GenicamCamera(StreamCamera[Received]):
             is_constant = delay.frames is not None
             timing = replace(delay.timing(_LEAD_FRAMES), readout_s=readout_s, rests=is_constant)
         # A frame that states its exposure ends the wait, mostly the first one that may have it.
-        return replace(timing, old_frames=0.0, unsettled_frames=0.0) if self._has_chunks else timing
+        is_stated = self._pipeline.is_stated
+        return replace(timing, old_frames=0.0, unsettled_frames=0.0) if is_stated else timing
 
     # ---- frames
 
@@ -286,32 +287,19 @@ class GenicamCamera(StreamCamera[Received]):
         return np.right_shift(pixels, self._shift)
 
     def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
-        self._stated.begin()
         if 2 <= len(settings) <= self._sets:
             yield from self._uploaded(settings)
             return
         if self._is_triggered:  # a slot is an exposure: nothing has to rest
             for shot in self._pipeline.shoot(settings):
-                yield self._judged(shot, settings)
+                yield self._frame(shot, settings[shot.index])
                 self._check_open()
             return
-        for frame in super()._frames(settings):
-            yield self._stated.judged(frame, self._statement(frame.details.get("chunks", {})))
-
-    def _judged(self, shot: Shot[Received], settings: Sequence[ExposureSetting]) -> Frame:
-        frame = self._frame(shot, settings[shot.index])
-        return self._stated.judged(frame, self._statement(frame.details.get("chunks", {})))
+        yield from super()._frames(settings)
 
     def _statement(self, chunks: Mapping[str, float]) -> ExposureSetting | None:
         """Return the exposure that a frame states itself."""
         return self._exposure.stated(chunks.get("ExposureTime"), chunks.get("Gain"))
-
-    def _proves(self, received: Received, setting: ExposureSetting) -> bool:
-        """Return whether a frame proves that it has a setting."""
-        pixels = self._samples(received)
-        if pixels is None:
-            return False
-        return self._stated.proves(pixels, setting, self._statement(received.chunks))
 
     def _frame(self, shot: Shot[Received], requested: ExposureSetting) -> Frame:
         made = self._made(shot.data, requested, shot.applied, shot.time_s, shot.index)
@@ -425,6 +413,4 @@ class GenicamCamera(StreamCamera[Received]):
             sequence.stop()
             self._resume()
         for (index, received), setting in zip(taken, settings, strict=True):
-            frame = self._made(received, setting, setting, received.arrived_s, index)
-            self._stated.remember(frame)
-            yield frame
+            yield self._made(received, setting, setting, received.arrived_s, index)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.interface.camera import Frame, Pixels
+from camctl.interface.camera import Pixels
 from camctl.interface.controls import ExposureSetting
 from camctl.model.response.camera import CameraResponse
 
@@ -27,8 +26,6 @@ _LEAST_SHARE = 0.02
 FITS, RULED_OUT = 0.1, 0.25
 #: Light from which a sample may be white.
 _WHITE = 0.97
-#: Settings differ where their exposures differ by more than this share.
-SAME_EXPOSURE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,87 +70,6 @@ class Scale:
             return 0.0
         stops = np.log2((bright[shows] + _FLOOR) / (expected[shows] + _FLOOR))
         return abs(float(np.mean(stops)))
-
-
-def differ(first: ExposureSetting, second: ExposureSetting) -> bool:
-    """Return whether two settings have different exposures."""
-    return abs(math.log(first.exposure / second.exposure)) > SAME_EXPOSURE
-
-
-@dataclass(frozen=True)
-class _Seen:
-    pixels: Pixels
-    applied: ExposureSetting
-    stated: ExposureSetting
-
-
-class StatedExposures:
-    """Compares what frames state by their chunks with what was set; pixels decide.
-
-    Cameras are known that state the exposure of the frame before (aravis#312), and that apply a
-    setting to another frame than their control delay says.
-
-    Args:
-        scale: of the frames
-
-    Attributes:
-        is_late: the chunks belong to another frame, and are not used any more
-    """
-
-    def __init__(self, scale: Scale) -> None:
-        self._scale = scale
-        self._last: _Seen | None = None
-        self._reference: _Seen | None = None  # the last frame whose exposure is known
-        self.is_late = False
-
-    def remember(self, frame: Frame) -> None:
-        """Compare the next frames with this one, whose exposure is known."""
-        self._reference = _Seen(frame.pixels, frame.applied, frame.applied)
-
-    def begin(self) -> None:
-        """Forget the frames of the sequence before: the scene may have changed."""
-        self._last = None
-
-    def judged(self, frame: Frame, stated: ExposureSetting | None) -> Frame:
-        """Return a frame with the exposure that it has.
-
-        Where it states another exposure than was set, and its pixels do not show which is true, it
-        has the one that was set: the control delay was measured, or the stream has settled.
-        """
-        if stated is None or self.is_late:
-            return frame
-        last, self._last = self._last, _Seen(frame.pixels, frame.applied, stated)
-        self._reference = self._last
-        shown = {"stated_time_s": stated.time_s, "stated_gain": stated.gain}
-        is_same = not differ(stated, frame.applied)
-        if last is not None and not is_same:
-            as_set = self._misfit(last.applied, frame.applied, last, frame)
-            as_stated = self._misfit(last.stated, stated, last, frame)
-            if as_set < FITS and as_stated > RULED_OUT:
-                self.is_late = True
-            elif as_stated < FITS and as_set > RULED_OUT:
-                return replace(frame, applied=stated, details={**frame.details, **shown})
-        return replace(frame, details={**frame.details, **shown}) if is_same else frame
-
-    def proves(
-        self, pixels: Pixels, setting: ExposureSetting, stated: ExposureSetting | None
-    ) -> bool:
-        """Return whether a frame has a setting: it states it, and its pixels show a new exposure.
-
-        They are compared with the last frame whose exposure is known; where the scene has changed
-        since, or the two exposures are alike, they show nothing.
-        """
-        known = self._reference
-        if stated is None or known is None or self.is_late or differ(stated, setting):
-            return False
-        ratio = setting.exposure / known.applied.exposure
-        is_new = self._scale.misfit(known.pixels, pixels, 1.0) > RULED_OUT
-        return is_new and self._scale.misfit(known.pixels, pixels, ratio) < FITS
-
-    def _misfit(
-        self, before: ExposureSetting, after: ExposureSetting, last: _Seen, frame: Frame
-    ) -> float:
-        return self._scale.misfit(last.pixels, frame.pixels, after.exposure / before.exposure)
 
 
 def first_in_order(

@@ -124,10 +124,10 @@ def choose_rate(
     return float(device.read(rate))
 
 
-def turn_chunks_on(device: OpenDevice) -> tuple[bool, list[Finding]]:
-    """Let frames state their exposures; return whether they do, and what is wrong with that."""
+def turn_chunks_on(device: OpenDevice) -> list[Finding]:
+    """Let frames state their exposures, where they can; return what is wrong with that."""
     if device.kind("ChunkModeActive") is None:
-        return False, []
+        return []
     try:
         device.write("ChunkModeActive", True)
         offered = device.entries("ChunkSelector")
@@ -136,5 +136,5 @@ def turn_chunks_on(device: OpenDevice) -> tuple[bool, list[Finding]]:
                 device.write("ChunkSelector", each)
                 device.write("ChunkEnable", True)
     except FeatureError as error:
-        return False, [note(f"the camera's chunk data are not used: {error}")]
-    return "ExposureTime" in offered, []
+        return [note(f"the camera's chunk data are not used: {error}")]
+    return []
