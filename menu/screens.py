@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
 from camctl.menu import pages
-from camctl.menu.data import Cost
+from camctl.menu.data import Cost, Progress
 from camctl.menu.entries import RESPONSES, TIMERS, requested, rows, seconds
 from camctl.menu.machine import choices, selected
 from camctl.menu.model import Action, Goal, Model, State
@@ -245,19 +245,25 @@ def _wait(model: Model) -> Screen:
         return replace(pages.BLANK, lines=(Line((f"shooting {text}", text)),), share=share)
     if progress is None or progress.total <= 0:
         return replace(pages.BLANK, lines=(Line(_WAITING.get(model.state, ("",))),))
-    unit, stage = ("frames ", "taken") if progress.stage == "shooting" else ("", progress.stage)
-    text = f"{progress.done} of {progress.total} {unit}{stage}"
-    short = f"{progress.done}/{progress.total} {stage}"
-    if progress.stage in ("writing", "metering"):
-        text = progress.stage
-    if model.state in (State.CALIBRATING, State.CALIBRATION_STOPPING):
-        text, short = f"Measuring {progress.stage}", progress.stage
     return replace(
         pages.BLANK,
-        lines=(Line((text, short)),),
+        lines=(Line(_progress_texts(model, progress)),),
         paragraphs=progress.lines,
         share=min(1.0, progress.share),
     )
+
+
+def _progress_texts(model: Model, progress: Progress) -> tuple[str, ...]:
+    """Return how far a capture or a calibration is, from the longest text to the shortest."""
+    stage, of = progress.stage, f"{progress.done} of {progress.total}"
+    short = f"{progress.done}/{progress.total}"
+    if model.state in (State.CALIBRATING, State.CALIBRATION_STOPPING):
+        return f"Measuring {stage}", stage
+    if stage in ("writing", "metering"):
+        return (stage,)
+    if stage == "shooting":
+        return f"{of} frames taken", f"{short} frames taken", f"{short} taken"
+    return f"{of} {stage}", f"{short} {stage}"
 
 
 def _nothing(_: Model) -> Screen:

@@ -99,7 +99,8 @@ def test_result_names_planned_levels_where_they_are_others(
 
 def test_capture_says_how_many_frames_are_taken() -> None:
     model = replace(FULL, state=State.SHOOTING, progress=Progress(1, 3, "shooting", 0.2))
-    assert grid(screen(model), 20, 4).lines[1].strip() == "1 of 3 frames taken"
+    assert grid(screen(model), 24, 8).lines[1].strip() == "1 of 3 frames taken"
+    assert grid(screen(model), 20, 4).lines[1].strip() == "1/3 frames taken"
     assert grid(screen(model), 16, 2).lines[1].strip() == "1/3 taken"
 
 
