@@ -329,10 +329,8 @@ class Shooter:
             is_busy = events.is_busy or (is_over and handles is None and self._body.lists_objects)
             new = (set(events.added) | set(handles or ())) - self._known
             self._known.update(new)
-            memory = self._body.dialect.memory
-            if memory in new:
-                self._known.discard(memory)
-                self._discard_from_memory()
+            if self._body.dialect.memory in new:  # `ignore_existing` removes it from there
+                self._known.discard(self._body.dialect.memory)
                 return
             if (events.is_complete and is_over) or self._have_pictures(new):
                 return

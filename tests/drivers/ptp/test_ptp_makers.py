@@ -149,6 +149,18 @@ class TestSony:
             assert len(shoot(camera, settings_at(camera, 1 / 125))) == 1
             assert camera.clock.now() > 3.0
 
+    def test_a_picture_that_waits_in_memory_is_not_the_one_that_is_shot(self) -> None:
+        """A person has pressed the button of the camera; its pictures are served in order."""
+        with camera_on(vendor="sony") as (camera, device):
+            dim, bright = settings_at(camera, 1 / 500, 1 / 60)
+            (one,) = shoot(camera, [dim])
+            device.responder.release(is_bulb=False)
+            camera.clock.sleep_until(camera.clock.now() + 5)
+            assert device.responder.card.memory
+            (other,) = shoot(camera, [bright])
+            assert other.pixels.mean() > 2 * one.pixels.mean()
+            assert not device.responder.card.memory
+
     def test_objects_of_all_stores_are_not_listed(self) -> None:
         with camera_on(vendor="sony") as (camera, device):
             shoot(camera, settings_at(camera, 1 / 125))

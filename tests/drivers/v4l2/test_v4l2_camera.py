@@ -118,13 +118,19 @@ class TestOpening:
             ControlId.WIDE_DYNAMIC_RANGE: 1,
             ControlId.AUTO_N_PRESET_WHITE_BALANCE: 1,
             ControlId.FOCUS_AUTO: 1,
+            # By their numbers in videodev2.h and v4l2-controls.h: the classes begin at these.
+            0x00980900 + 29: 1,  # V4L2_CID_CHROMA_AGC
+            0x00980900 + 32: 1,  # V4L2_CID_AUTOBRIGHTNESS
+            0x009A0900 + 24: 1,  # V4L2_CID_ISO_SENSITIVITY_AUTO
         }
         for control, value in added.items():
             model.controls[control] = Register("x", ControlType.MENU, 0, 3, 1, 1, value)
         with open_model(model) as camera:
             assert {model.controls[control].value for control in added} == {0}
             (stated,) = (each for each in camera.controls.notes if each.startswith("turned off: "))
-        for name in ("the power-line filter", "automatic hue", "continuous autofocus"):
+        names = ("the power-line filter", "automatic hue", "continuous autofocus")
+        more = ("automatic chroma gain", "automatic brightness", "automatic sensitivity")
+        for name in (*names, *more):
             assert name in stated
 
     def test_focus_is_fixed_where_it_was(self) -> None:
