@@ -348,6 +348,7 @@ class CameraJob:
             count=choice.count,
             time_budget_s=choice.time_budget_s,
             mains_hz=choice.mains_hz or self._request.mains_hz,
+            spend_shutter=choice.spend_shutter or self._request.spend_shutter,
         )
 
     def _free_bytes(self) -> int:

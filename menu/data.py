@@ -22,6 +22,7 @@ class Settings:
         timer: index of the entry of `camctl.menu.entries.TIMERS`
         saver: index of the entry of `camctl.menu.entries.SAVERS`
         mains: index of the entry of `camctl.menu.entries.MAINS`
+        metering: index of the entry of `camctl.menu.entries.METERINGS`
         interval: index of the entry of `camctl.menu.entries.INTERVALS`
         repeat: index of the entry of `camctl.menu.entries.REPEATS`
         camera: id of the camera that was chosen last; "": the camera of the command line
@@ -35,6 +36,7 @@ class Settings:
     timer: int = 1
     saver: int = 1
     mains: int = 0
+    metering: int = 0
     interval: int = 4
     repeat: int = 2
     camera: str = ""
@@ -67,6 +69,7 @@ class Choice:
         count: number of exposures; None: as many as pay
         time_budget_s: longest time of the capture, s
         mains_hz: frequency of the mains that feeds the lamps; None: daylight
+        spend_shutter: a camera without preview may meter with full exposures
     """
 
     response: str
@@ -74,6 +77,7 @@ class Choice:
     count: int | None = None
     time_budget_s: float | None = None
     mains_hz: float | None = None
+    spend_shutter: bool = False
 
 
 @dataclass(frozen=True)

@@ -73,6 +73,10 @@ MAINS = _entries(
     (50.0, "Lamps 50 Hz mains", "Lamps 50 Hz"),
     (60.0, "Lamps 60 Hz mains", "Lamps 60 Hz"),
 )
+METERINGS = _entries(
+    (False, "No shots for metering", "No meter shots"),
+    (True, "Shots for metering", "Meter shots"),
+)
 INTERVALS = (
     Entry(("At once",), None),
     *(
@@ -112,11 +116,12 @@ KEPT: dict[str, tuple[Entry, ...]] = {
     "timer": TIMERS,
     "saver": SAVERS,
     "mains": MAINS,
+    "metering": METERINGS,
     "interval": INTERVALS,
     "repeat": REPEATS,
 }
 """The fields of `Settings` that hold an index, with their entries."""
-CHANGEABLE = ("timer", "saver", "mains")
+CHANGEABLE = ("timer", "saver", "mains", "metering")
 """Those that the settings screen changes."""
 _OF_SERIES = ("repeat", "interval")
 """Those that the screen of a series changes."""
@@ -229,6 +234,7 @@ def choice(settings: Settings, goal: Goal) -> Choice:
         count=int(_number(COUNTS[settings.count].value)) if by_count else None,
         time_budget_s=_number(BUDGETS[settings.budget].value) if goal is Goal.BUDGET else None,
         mains_hz=mains_hz(settings),
+        spend_shutter=bool(METERINGS[settings.metering].value),
     )
 
 

@@ -21,6 +21,7 @@ ENTRIES: Final[dict[str, str]] = {
     "mains_hz": "Settings, Lamps",
     "response": "Desired response",
     "resume": "Captures",
+    "spend_shutter": "Settings, Shots for metering",
     "time_budget_s": "Time budget",
 }
 """The list of the menu for each remedy that has one, see `camctl.findings.Finding.remedies`."""

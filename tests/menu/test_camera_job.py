@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from panel_fakes import TO_REVIEW, Script, ScriptedPanel, quit_from
+from ptp_bench import bench
 
 import camctl
 from camctl import read_report
@@ -31,13 +32,14 @@ from camctl.menu.app import run
 from camctl.menu.camera_job import CameraJob
 from camctl.menu.capture_list import list_captures, next_folder
 from camctl.menu.data import Choice, Past, Reading, SeriesChoice, Settings
-from camctl.menu.entries import choice, requested
+from camctl.menu.entries import METERINGS, choice, requested
 from camctl.menu.layout import grid
 from camctl.menu.model import Goal, Model, State
 from camctl.menu.ports import Key
 from camctl.menu.screens import screen
 from camctl.menu.studio.sight import Sight
 from camctl.menu.thumbnails import focus_value
+from camctl.messages.menu import error_text
 from camctl.sim.camera import Faults, SimulatedCamera
 from camctl.sim.scenes.scene import load_scene
 from camctl.sim.sensors.sensor import load_sensor
@@ -401,3 +403,19 @@ print([name for name in {without} if name in sys.modules])
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path
     )
     assert done.stdout.strip() == "[]"
+
+
+def test_body_without_preview_meters_once_the_settings_allow_its_shutter(tmp_path: Path) -> None:
+    pair = bench(scene="ramp")
+    job = CameraJob(lambda _: (pair.camera(), {}), tmp_path, tmp_path / "menu.json")
+    job.open("")
+    try:
+        with pytest.raises(UsageError) as refused:
+            job.plan(choice(Settings(), Goal.COUNT), lambda: False)
+        assert "(menu: Settings, Shots for metering)" in error_text(refused.value)
+        allowed = Settings(
+            metering=[each.labels[0] for each in METERINGS].index("Shots for metering")
+        )
+        assert job.plan(choice(allowed, Goal.COUNT), lambda: False).frames
+    finally:
+        job.close()

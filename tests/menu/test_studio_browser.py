@@ -128,9 +128,19 @@ def test_capture_is_taken_with_keys_alone(show: Show) -> None:
     page.wait_for_selector(".sight img[src]")
 
 
-def test_virtual_ptp_body_takes_a_capture(show: Show) -> None:
-    pair = bench(scene="ramp")
-    page = show(job_with(lambda: pair.camera(), spend_shutter=True, base_s=1 / 60))
+@pytest.mark.parametrize("size", SIZES)
+def test_body_without_preview_takes_a_capture_once_it_may_meter(
+    show: Show, size: tuple[int, int]
+) -> None:
+    pair = bench(vendor="nikon", scene="ramp")
+    page = show(job_with(lambda: pair.camera()), size)
+    page.wait_for_selector("text=mode dial at M, battery")
+    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    page.click("[data-action=shoot]")
+    page.wait_for_selector("text=(menu: Settings, Shots for metering)")
+    page.click("[data-section=settings]")
+    page.click("button:has-text('No shots for metering')")
+    page.click("[data-section=live]")
     page.click("[data-action=shoot]")
     page.wait_for_selector("[data-action=timer]")
     page.click("[data-action=shoot]")
