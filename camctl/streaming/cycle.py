@@ -197,7 +197,9 @@ class ExposureCycle(Generic[DataT]):
         written = self._source.write(setting)
         if plan != self._plan or not self._has_begun:
             bounds, self._has_begun = self._bounds, True
-            self._mixed = (written.first + bounds.smallest, written.last + bounds.largest)
+            first, (before, end) = written.first + bounds.smallest, self._mixed
+            is_past = end <= self._source.number + 1  # of the exchange before
+            self._mixed = (first if is_past else before, written.last + bounds.largest)
         self._writes.append(
             _Write(
                 index,

@@ -115,6 +115,17 @@ def test_a_rate_above_that_of_the_camera_below_is_refused() -> None:
         camctl.live(camera, fps=40)
 
 
+def test_exposures_that_cannot_be_as_short_as_a_rate_asks_are_refused() -> None:
+    """It is up to 6 stops shorter than planned."""
+    options = {"scene": "ramp", "size": "64x48", "range": "low", "bits": "8", "base": "0.1"}
+    with (
+        camctl.open_camera("effective:sim", {**options, "fps": "0.1"}) as camera,
+        pytest.raises(CamctlError, match="leaves fewer than 30 results a second"),
+        camctl.live(camera, fps=30),
+    ):
+        pass
+
+
 def test_the_rate_of_a_stream_shortens_its_exposures_once() -> None:
     """It was opened for 10 frames a second, and 20 results shorten its exposures again."""
     scene = {"scene": "night-street", "size": "320x240", "bits": "8"}

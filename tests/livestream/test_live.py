@@ -160,6 +160,16 @@ def test_light_out_of_reach_is_a_finding() -> None:
     assert words["light_above_range"].startswith("100.0% of the picture is brighter")
 
 
+def test_what_is_saturated_in_each_frame_is_marked() -> None:
+    light = gradient(*SHAPE) / np.float32(10)
+    light[:10] = 100
+    with camera(light) as opened, camctl.live(opened, GIVEN) as live:
+        last = results(live, 3)[-1]
+    assert ((last.mask[:10] & 2) > 0).all()
+    assert np.isinf(last.sd[:10]).all()
+    assert not (last.mask[10:] & 2).any()
+
+
 def test_dark_light_is_a_finding() -> None:
     request = CaptureRequest(base_s=0.05, ratios=(1, 2), dynamic_range=16)
     dark = gradient(*SHAPE, low=1e-5)
@@ -410,6 +420,15 @@ def test_a_result_that_is_there_is_given_while_the_next_frame_is_waited_for() ->
         gate.opened.set()
         assert not consumer.is_alive()
         assert found[0].number > first.number
+
+
+def test_a_stream_in_real_time_states_its_latency_and_becomes_exact() -> None:
+    with real_time() as opened, camctl.live(opened, GIVEN, policy="all") as live:
+        for result in islice(live, 200):
+            assert 0 < result.latency_s <= opened.clock.now() - result.time_s
+            if result.is_exact:
+                break
+    assert result.is_exact
 
 
 def test_another_thread_ends_the_stream() -> None:

@@ -203,6 +203,15 @@ def test_the_page_has_picture_histogram_and_exposures() -> None:
         assert ask(output, Host="other.example")[0] == 403
 
 
+def test_the_page_says_while_the_camera_is_waited_for() -> None:
+    with served() as output:
+        states = []
+        for is_waiting in (False, True):
+            output._live.is_waiting = is_waiting
+            states.append(json.loads(ask(output, "state")[1])["waiting"])
+    assert states == [False, True]
+
+
 def decoded(data: bytes) -> NDArray[np.uint8]:
     import cv2
 

@@ -15,7 +15,7 @@ from camctl.sim.camera import SimulatedCamera
 from camctl.sim.faults import Faults
 from camctl.sim.scenes.scene import load_scene
 from camctl.sim.sensors.sensor import load_sensor
-from camctl.streaming import ControlDelay, DelayOrigin, ExposureCycle
+from camctl.streaming import ControlDelay, DelayOrigin, ExposureCycle, FrameStamp, Written
 
 A, B, C = (ExposureSetting(time_s) for time_s in (1.0, 4.0, 12.0))
 
@@ -77,6 +77,43 @@ def test_a_delay_that_varies_settles_at_each_exposure() -> None:
     shots = [shot for shot, _ in islice(cycle.shots(), 9)]
     assert [shot.data[1] for shot in shots] == [A, B, C] * 3
     assert stream.received > 9 * 2
+
+
+class TwoDelays(CycleStream):
+    """A shutter time takes effect after one frame, a gain after three."""
+
+    def __init__(self) -> None:
+        super().__init__(0)
+        self._written = [(-10, A)]
+
+    def next_frame(self) -> FrameStamp:
+        time_s = [each.time_s for slot, each in self._written if slot + 1 <= self.slot][-1]
+        gain = [each.gain for slot, each in self._written if slot + 3 <= self.slot][-1]
+        self._past.append(ExposureSetting(time_s, gain))
+        return super().next_frame()
+
+    def write(self, setting: ExposureSetting) -> Written:
+        self._written.append((self.slot, setting))
+        return Written(setting, self.slot, self.slot)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_frame_has_the_time_of_a_list_and_the_gain_of_the_one_before(seed: int) -> None:
+    """In each list one control changes, whose delay is constant."""
+    random = Random(seed)
+    delay = ControlDelay(1, 3, DelayOrigin.MEASURED, time=(1, 1), gain=(3, 3))
+    times = [ExposureSetting(time_s, 2.0) for time_s in (1.0, 2.0, 4.0)]
+    gains = [ExposureSetting(3.0, gain) for gain in (1.0, 1.5, 4.0)]
+    cycle = ExposureCycle(TwoDelays(), delay, brightness, times)
+    shots, lists = cycle.shots(), {0: times}
+    for _ in range(400):
+        if random.random() < 0.05:
+            settings = random.sample(random.choice([times, gains]), 2)
+            lists[cycle.exchange(settings)] = settings
+        shot, _ = next(shots)
+        assert shot.place is not None
+        assert shot.data[1] == shot.applied == lists[shot.place.plan][shot.index]
+    assert len({each[0].gain for each in lists.values()}) > 1
 
 
 def test_stated_exposures_are_used_once_the_pixels_agree() -> None:
