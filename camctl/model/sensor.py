@@ -79,6 +79,7 @@ class SensorModel:
         is_coarse: whether there are so few levels that noise decides which samples are saturated
         curvature: (white + 1,) float64, the second difference of `light`
         exponent_error: that of the response
+        deviation: (white + 1,) that of the logarithm of `light`; 0 where the response is exact
     """
 
     def __init__(self, real: CameraResponse, black: int) -> None:
@@ -93,6 +94,10 @@ class SensorModel:
             self.gap = np.concatenate((np.full(black + 1, step), self.gap[1:]))
         self.black, self.white = black, black + real.M
         self.exponent_error = real.exponent_error
+        self.deviation: FloatArray = np.zeros(self.white + 1)
+        if real.deviation is not None:
+            self.deviation[black + 1 :] = real.deviation
+            self.deviation[: black + 1] = np.inf
         self.full = float(self.light[-1])
         self.level = self.full / real.M
         self.is_coarse = real.M < _FEWEST_LEVELS

@@ -18,6 +18,7 @@ import numpy as np
 
 from camctl.calibration.limits import DARK
 from camctl.errors import DataError
+from camctl.evidence.patch_errors import median
 from camctl.evidence.patches import Patches
 from camctl.evidence.ratios import comparable_frames, estimate_ratios
 from camctl.findings import Detail, Finding
@@ -61,10 +62,12 @@ class PairRatio(NamedTuple):
     Attributes:
         log: logarithm of the light in the second over the light in the first
         error: largest error of it from rounding and black level
+        of_curve: largest error of it from the response
     """
 
     log: float
     error: float
+    of_curve: float
 
 
 def pair_ratio(
@@ -84,7 +87,7 @@ def pair_ratio(
     """
     unit = (scale.white - scale.black) / 255
     use = np.ones(len(first), np.bool_)
-    logs, slopes = np.zeros(len(first)), np.zeros(len(first))
+    logs, slopes, of_curve = (np.zeros(len(first)) for _ in range(3))
     dim = np.full(len(first), np.inf)
     for patches, sign in ((first, -1), (second, 1)):
         mean = patches.mean(axis=1)
@@ -92,11 +95,13 @@ def pair_ratio(
         use &= patches.max(axis=1) <= scale.highest(None)
         light = np.maximum(scale.light[patches].mean(axis=1), scale.level / 1000)
         logs += sign * np.log(light)
-        slopes = np.hypot(slopes, scale.gap[np.rint(mean).astype(np.intp)] * unit / light)
+        level = np.rint(mean).astype(np.intp)
+        slopes = np.hypot(slopes, scale.gap[level] * unit / light)
+        of_curve = np.hypot(of_curve, scale.deviation[level])
     use &= dim > 255 * darkest
     if np.count_nonzero(use) < _LEAST:
         return None
-    logs, slopes = logs[use], slopes[use]
+    logs, slopes, of_curve = logs[use], slopes[use], of_curve[use]
     cell = np.log2(dim[use] / 255) // _CELL
     cells = [cell == each for each in np.unique(cell)]
     cells = [each for each in cells if np.count_nonzero(each) >= _LEAST / 2]
@@ -115,7 +120,7 @@ def pair_ratio(
     covariance = np.linalg.inv((rows.T * weights / shown) @ rows + prior)
     log, error = float(found[0]), _SIGMAS * math.sqrt(float(covariance[0, 0]))
     is_one = np.mean(np.abs(logs - log) < _ALIKE + 2 * _OFFSET * slopes) >= _MAJORITY
-    return PairRatio(log, error) if is_one else None
+    return PairRatio(log, error, _SIGMAS * median(of_curve)) if is_one else None
 
 
 @dataclass(frozen=True)
@@ -303,6 +308,8 @@ def _colour_runs(
         if of_colour is None or of_green is None:
             return None
         error = math.hypot(of_colour.error, of_green.error)
+        if scales[plane] is not scales[_GREEN]:  # each curve has errors of its own
+            error = math.hypot(error, of_colour.of_curve, of_green.of_curve)
         if error > _MOST_UNSURE:
             return None
         difference = of_colour.log - of_green.log

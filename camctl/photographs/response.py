@@ -97,7 +97,7 @@ def known_controls(
     best = min(standards, key=lambda key: scores[key])
     standard = replace(standards[best], response_origin=ResponseOrigin.MEASURED)
     try:
-        estimate = estimate_response(series, is_scene_checked=False)
+        estimate = estimate_response(series, is_scene_checked=False, exposure_error=error)
     except DataError as problem:
         if ratios.pairs and scores[best] == 0:
             return standard, _FITTING.format(best[0])

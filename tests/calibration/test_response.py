@@ -104,6 +104,16 @@ def error_of(estimate: ResponseEstimate | ResponseRecord, curve: Curve) -> float
     return float(min(errors))
 
 
+def test_errors_that_are_alike_over_many_levels_do_not_bend_the_curve() -> None:
+    series = Series(Layout.MONO, 8)
+    for k, exposure in enumerate((1.0, 2.0, 4.0, 8.0, 16.0)):
+        frame = shoot(scene(3, 300, 400) / 4, exposure, s_curve, seed=k).astype(float)
+        if k == 0:  # developed differently, by up to four levels
+            frame = np.clip(np.rint(frame + 4 * np.sin(2 * np.pi * frame / 255)), 0, 255)
+        series.add(frame.astype(np.uint8), exposure, str(k))
+    assert error_of(estimate_response(series, is_scene_checked=False), s_curve) < 0.002
+
+
 @pytest.mark.parametrize(
     ("name", "bits"),
     [

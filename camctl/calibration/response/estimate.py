@@ -100,6 +100,7 @@ def estimate_response(
     is_scene_checked: bool = True,
     is_kept: bool = False,
     is_rough: bool = False,
+    exposure_error: float = STATED,
 ) -> ResponseEstimate:
     """Return the response of each channel from an exposure series, or from frames of a chart.
 
@@ -113,6 +114,7 @@ def estimate_response(
         is_scene_checked: False: the caller checks exposures and movement itself
         is_kept: a finding, no refusal, where frames seem to have moved or have wrong exposures
         is_rough: movement, spill and noise are not looked for: for exposures, not for a curve
+        exposure_error: standard deviation of the logarithm of an exposure that is stated
 
     Raises:
         DataError: the frames are not suitable; says why and what to do
@@ -121,6 +123,7 @@ def estimate_response(
     if not series.exposures_are_stated:
         series.guess_exposures()
         estimate_ratios = True
+    exposure_error = ROUGH if estimate_ratios else exposure_error
     check_frames(series, has_chart=chart is not None)
     exposures = np.array(series.exposures)
     findings = list(series.findings)
@@ -138,13 +141,10 @@ def estimate_response(
     if estimate_ratios and exposures.size > 1 and (chart or not series.exposures_are_stated):
         exponent = common_exponent([each.exponent(exposures) for each in channels])
         exposures = exposures**exponent.value
-        if chart is None:
-            findings.append(
-                Finding(code="exponent_unknown", value=exponent.error, remedies={"times": None})
-            )
+        findings += _exponent_findings(exponent, chart)
     saturating = {name: _saturates(series, name) for name in series.channels}
     if exposures.size > 1 and not is_rough:
-        channels = _without_noise(channels, exposures, ROUGH if estimate_ratios else STATED)
+        channels = _without_noise(channels, exposures, exposure_error)
     channels, fits = _needed(channels, exposures)
     labels = LabelCheck(np.ones((len(channels), exposures.size)))
     if not estimate_ratios:
@@ -152,11 +152,11 @@ def estimate_response(
             labels = _checked_scene(series, exposures, channels, fits, labels, noted)
         if labels.finding is not None:
             findings.append(labels.finding)
-        corrected = exposures * labels.corrections
-        fits = [each.fit(own, STATED) for each, own in zip(channels, corrected, strict=True)]
+        pairs = zip(channels, exposures * labels.corrections, strict=True)
+        fits = [each.fit(own, exposure_error) for each, own in pairs]
     findings += _chart_findings(channels, fits)
     if not is_rough:
-        fits = _with_misfit(series, fits, estimates_ratios=estimate_ratios)
+        fits = _with_misfit(series, fits, exposure_error)
     fits = [with_exponent_error(fit, exponent.error + labels.exponent_error) for fit in fits]
     if estimate_ratios:
         exposures = np.exp(np.mean([np.log(fit.exposures) for fit in fits], axis=0))
@@ -182,6 +182,11 @@ def _without_noise(
     return [
         each.without_noise(fit) for each, fit in zip(channels, first * len(channels), strict=False)
     ]
+
+
+def _exponent_findings(exponent: Exponent, chart: Chart | None) -> Iterator[Finding]:
+    if chart is None:
+        yield Finding(code="exponent_unknown", value=exponent.error, remedies={"times": None})
 
 
 def _chart_findings(
@@ -234,13 +239,12 @@ def _needed(
 
 
 def _with_misfit(
-    series: Series, fits: list[ResponseFit], *, estimates_ratios: bool
+    series: Series, fits: list[ResponseFit], exposure_error: float
 ) -> list[ResponseFit]:
     """Return fits whose deviations hold what patches show beyond the errors of the fit."""
     exposures = np.exp(np.mean([np.log(fit.exposures) for fit in fits], axis=0)).tolist()
-    error = ROUGH if estimates_ratios else STATED
     lights = [fit.light for fit in fits]
-    misfit, cells = PatchRatios.of(series).misfit(lights, exposures, error)
+    misfit, cells = PatchRatios.of(series).misfit(lights, exposures, exposure_error)
     factor = math.sqrt(max(1.0, misfit / max(cells, 1)))
     return [replace(fit, deviation=factor * fit.deviation) for fit in fits]
 

@@ -34,6 +34,7 @@ from camctl.calibration.limits import OUTLIER
 from camctl.calibration.response.matches import LEAST_PIXELS, NOISE_STEPS, Matches
 from camctl.calibration.response.spline import COEFFICIENTS, Knots, ascending
 from camctl.errors import DataError
+from camctl.evidence.patch_errors import median
 from camctl.model.response.camera import FloatArray
 
 #: Size of a difference (in standard deviations of the prior) from which it counts as a bend.  A
@@ -42,8 +43,9 @@ _BEND = 2.0
 #: In the last rounds: weight of a difference over the mean square of those around it, the width of
 #: "around" in ln E, and the least mean square.
 _ADAPTED, _AROUND, _LEAST_CURVED = 1.5, 0.3, 0.024
-#: Standard deviations that an outlier counts as in the mean square of all.
-_MOST_MISFIT = 3.0
+#: Standard deviations that an outlier counts as in the mean square of all; and a standard
+#: deviation over the median magnitude of normal errors.
+_MISFIT, _OF_MEDIAN = np.array([-3.0, 3.0]), 1.48
 #: Rounds with the same prior for the whole curve.
 _ROUNDS = 6
 #: Standard deviations come from a prior weaker by the first factor, times the second one: what
@@ -154,25 +156,27 @@ def fit_response(
     with_top = np.append(x_known, 1.0)
     whole = system.curve(with_top)
     curve, top = whole[:-1], whole[-1:]
-    known = system.known_beforehand(logs, exposure_error)
+    known, free = (system.known_beforehand(logs, each) for each in (exposure_error, ROUGH))
     roughness, places = prior.roughness()
     log_E = 1.5 * np.log(x_known)  # a start: most responses are steeper than a linear one
     residuals = np.zeros(system.wanted.size)
     bends = np.zeros(len(roughness))
-    for turn in range(_ROUNDS + prior.adapted):
-        variance = (
-            prior.floor**2
-            + system.uncertain
-            + sum(_slope(edges, log_E, at) ** 2 * spread for at, spread in system.spreads)
-        )
-        deviations = np.abs(residuals) / np.sqrt(variance)
-        robust = 1 / np.maximum(1.0, deviations / OUTLIER)
+    least = 1.0
+    # First with free exposures, which show what no curve explains: neither errors of exposures nor
+    # those of a curve that is kept smooth count as such.
+    first = -_ROUNDS if exposure_error < ROUGH and chart is None else 0
+    for turn in range(first, _ROUNDS + prior.adapted):
+        variance = prior.floor**2 + system.variance(edges, log_E)
+        deviations = residuals / np.sqrt(variance)
+        robust = 1 / np.maximum(1.0, np.abs(deviations) / OUTLIER)
+        if turn == 0 > first:
+            least = system.unexplained(deviations)
         # Errors beyond the variances must not outvote smoothness: they would bend the curve.  Where
         # exposures are free, they and not the curve follow such errors.
-        misfit = max(1.0, float(np.mean(np.minimum(deviations, _MOST_MISFIT) ** 2)))
-        misfit = misfit if exposure_error < ROUGH else 1.0
+        is_free = turn < 0 or exposure_error >= ROUGH
+        misfit = 1.0 if is_free else max(least, np.mean(np.clip(deviations, *_MISFIT) ** 2))
         weights = robust / (variance * system.alike * misfit)
-        square = (system.rows * weights[:, None]).T @ system.rows + known
+        square = (system.rows * weights[:, None]).T @ system.rows + (free if turn < 0 else known)
         around = None if turn < _ROUNDS else np.interp(places, x_known, log_E)
         smooth = roughness * _expected(bends, around)[:, None]
         square[:COEFFICIENTS, :COEFFICIENTS] += roughness.T @ smooth
@@ -208,6 +212,8 @@ class _System:
         spreads: pairs of levels (N,) and their variances (N,) from which rows have errors
         alike: (N,) number of rows that count as one
         uncertain: (N,) variance of what noise shifts
+        expected_alike: number of neighbouring matches that count as one
+        starts: of the runs of matches of one pair and channel but the first
         frames, light, patches: the places of these unknowns
     """
 
@@ -259,7 +265,29 @@ class _System:
             ]
         self.rows, self.wanted, self.alike, self.spreads = rows, wanted, alike, spreads
         self.uncertain = uncertain
+        self.expected_alike = matches.alike
+        ends_run = (np.diff(matches.pairs) != 0) | (np.diff(matches.high) <= 0)
+        self.starts = np.flatnonzero(ends_run) + 1
         self.patch_error = np.zeros(0) if chart is None else chart.error
+
+    def variance(self, edges: FloatArray, log_E: FloatArray) -> FloatArray:
+        """Return the variance of each row with a curve, (N,)."""
+        spreads = (_slope(edges, log_E, at) ** 2 * spread for at, spread in self.spreads)
+        return np.asarray(self.uncertain + sum(spreads))
+
+    def unexplained(self, deviations: FloatArray) -> float:
+        """Return the factor of the variances, and of the rows that count as one; 1 at least.
+
+        What developed the pictures of a camera is no curve for each channel: errors are alike over
+        many levels then, and a curve that is free enough follows them.
+
+        Args:
+            deviations: of the rows, which are matches alone, in their standard deviations
+        """
+        size = max(1.0, _OF_MEDIAN * median(np.abs(deviations)))
+        within = np.clip(deviations, *(_MISFIT * size))
+        alike = _alike(np.split(within, self.starts))
+        return max(1.0, float(np.mean(within**2))) * max(1.0, alike / self.expected_alike)
 
     def curve(self, x: FloatArray) -> FloatArray:
         """Return the rows that give h at brightness x, (N, unknowns)."""
@@ -281,6 +309,21 @@ class _System:
             block = np.outer(power, power) / (power @ power) / _TREND**2
             precision[self.frames, self.frames] += block
         return precision
+
+
+def _alike(runs: Sequence[FloatArray]) -> float:
+    """Return how many neighbours in runs of errors count as one.
+
+    It is 1 plus twice their correlations, up to where these end.
+    """
+    square = float(np.mean(np.square(np.concatenate(runs))))
+    number = 1.0
+    for lag in range(1, max(map(len, runs))):
+        products = [run[lag:] * run[:-lag] for run in runs if len(run) > lag]
+        if (mean := float(np.mean(np.concatenate(products)))) <= 0:
+            break
+        number += 2 * mean / square
+    return number
 
 
 class _Prior(NamedTuple):
