@@ -259,7 +259,7 @@ class CameraOptions:
 
     def in_real_time(self) -> CameraOptions:
         """Return these options with a simulated camera that waits, as others do."""
-        is_simulated = self.camera_id.removeprefix("effective:").partition(":")[0] == "sim"
+        is_simulated = self.camera_id.rpartition("effective:")[2].partition(":")[0] == "sim"
         if not is_simulated or "time" in self.camera_options():
             return self
         return replace(self, camera_settings=(*self.camera_settings, ("time", "real")))

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from command_line import Run
 
+from camctl.cli.options import CameraOptions
 from camctl.livestream.result import LiveResult
 
 SMALL = ("--scene", "ramp", "-O", "size=64x48", "-O", "time=virtual", "--base", "0.002")
@@ -81,3 +82,12 @@ def test_what_was_live_until_ctrl_c_is_stated(run: Run, monkeypatch: pytest.Monk
     assert ran.err == "camctl: interrupted\n"
     assert ran.out.splitlines()[0].startswith("results      4, ")
     assert "2 ms, 8 ms" in ran.out
+
+
+@pytest.mark.parametrize(
+    ("camera", "time"),
+    [("effective:effective:sim", "real"), ("sim:2", "real"), ("v4l2:/dev/video0", None)],
+)
+def test_only_a_simulated_camera_is_told_to_wait(camera: str, time: str | None) -> None:
+    options = CameraOptions(camera, (), None, None)
+    assert options.in_real_time().camera_options().get("time") == time
