@@ -102,11 +102,13 @@ class Section:
         title: in the bar of sections
         states: of the menu that it shows; the first is the one that opening it leads to.  A section
             without states is opened by the page alone, and stays while the menu goes on
+        returns: its button in the bar leads back to its first state from its other states, too
         get, post: its routes, by what follows ``NAME/`` in the address; ``post`` changes something
     """
 
     name: str
     title: str
     states: tuple[State, ...] = ()
+    returns: bool = False
     get: Mapping[str, Route] = field(default_factory=dict)
     post: Mapping[str, Route] = field(default_factory=dict)

@@ -20,12 +20,14 @@ SECTIONS = (
         "look",
         "Look",
         (State.RESPONSE, State.RANGE, State.CUSTOM),
+        returns=True,
         get={"picture": choices.cost_picture},
     ),
     Section(
         "time",
         "Time",
         (State.FRONT, State.EXPOSURES, State.BUDGET),
+        returns=True,
         get={"picture": choices.point_picture},
     ),
     Section(
@@ -59,6 +61,7 @@ SECTIONS = (
             State.PAST,
             State.RESULT,
         ),
+        returns=True,
         get={
             "files": captures.files,
             "file": captures.file,
@@ -95,6 +98,7 @@ SECTIONS = (
             State.CONFIRM,
             State.QUIT,
         ),
+        returns=True,
         get={"profiles": profiles.profiles, "plot": profiles.plot},
     ),
 )

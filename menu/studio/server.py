@@ -23,7 +23,10 @@ _STATIC = Path(__file__).with_name("static")
 PAGE = (_STATIC / "index.html").read_bytes()
 _KINDS = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 _KEYS = {key.name.lower(): key for key in Key}
-_SECTIONS = [{"name": each.name, "title": each.title, "states": each.states} for each in SECTIONS]
+_SECTIONS = [
+    {name: getattr(each, name) for name in ("name", "title", "states", "returns")}
+    for each in SECTIONS
+]
 _ACTIONS = {action.name.lower(): action for action in Action}
 
 

@@ -104,6 +104,9 @@ def test_capture_is_taken_judged_and_loaded(
         page.click("a:has-text('radiance.exr')")
     (folder,) = tmp_path.glob("capture-*")
     assert Path(loaded.value.path()).read_bytes() == (folder / "radiance.exr").read_bytes()
+    page.click("[data-section=captures]")  # all of them, and not the one that is shown
+    page.click(f".choice:has-text('{folder.name}')")
+    page.wait_for_selector(".picture")
     width = page.evaluate("document.documentElement.scrollWidth")
     assert width <= size[0]
     page.click("[data-delete]")

@@ -114,9 +114,11 @@ async function display(name) {
 function openSection(name) {
   const section = studio.state.sections.find(each => each.name === name);
   if (!section) { return; }
-  if (section.states.length && !section.states.includes(studio.state.state)) {
+  const first = section.states[0], isThere = section.states.includes(studio.state.state);
+  const returns = section.returns && studio.section === name && studio.state.state !== first;
+  if (section.states.length && (!isThere || returns)) {
     leave();
-    command({state: section.states[0]});
+    command({state: first});
   } else {
     find("title").textContent = section.states.length ? studio.state.title : section.title;
     display(name);
