@@ -99,6 +99,7 @@ def complete(
         StorageError: a file could not be written
     """
     began = time.perf_counter()
+    return_free_memory()  # of the shots
     shot = _effective_camera(unfinished, checks.judge(), controls)
     tables = tuple(map(Tables.of, shot.posteriors))
     outside = light_shares(controls.layout, total, tables, shot.desired)
