@@ -25,6 +25,9 @@ _KNOWN = 4
 _SHARES = (0.95, 0.03, 0.008, 0.9, 0.015, 0.004, 0.06, 0.002)
 # Where the response bends unseen by a comparison of middle brightness.
 _DARK, _BRIGHT = 0.05, 0.85
+# Median brightness of frames in which each dark code is looked for, as shares of white; samples
+# whose light is in the middle half of a code, of which so many show it at least once.
+_CODE_SHARES, _CODE_SAMPLES = (0.003, 0.004, 0.006, 0.008, 0.01, 0.013, 0.017, 0.02), 200
 # Groups of samples of one light: their width, and how many samples a mean needs.
 _WIDTH, _LEAST = 1.1, 24
 # A line through the groups needs this range of light; factors of the middle time that have one.
@@ -92,6 +95,32 @@ class ResponseChecks(LightChecks):
         compared = sum([self._check_ends(camera, sensor, known, frame) for frame in frames])
         if not compared:
             pytest.skip("no times bring the samples near black or near white")
+
+    def test_no_dark_code_is_missing(self, camera: Camera) -> None:
+        """Samples of the light of a code below 5 % of white show it: none is left out."""
+        known, sensor = self._known(camera), self._sensor(camera)
+        time, middle = camera.controls.time_s, known.setting
+        times_s = [
+            time.nearest(middle.time_s * share * sensor.full / known.typical)
+            for share in _CODE_SHARES[: self.range_length]
+        ]
+        frames = self.shoot(camera, [replace(middle, time_s=t) for t in dict.fromkeys(times_s)])
+        if self.is_lossy(camera, frames[0]):
+            pytest.skip("a JPEG file does not keep single codes")
+        codes = np.flatnonzero((sensor.light > 0) & (sensor.light < _DARK * sensor.full))
+        codes = codes[codes > sensor.black]
+        right, shown = np.zeros(codes.size, int), np.zeros(codes.size, int)
+        for frame in frames:
+            light = known.light * (frame.applied.exposure / middle.exposure)
+            for place, code in enumerate(codes):
+                inside = np.abs(light - sensor.light[code]) < sensor.gap[code] / 4
+                right[place] += np.count_nonzero(inside & known.usable)
+                shown[place] += np.count_nonzero(frame.pixels == code)
+        compared = right >= _CODE_SAMPLES
+        if not compared.any():
+            pytest.skip("no samples have the light of dark codes")
+        missing = codes[compared & (shown == 0)]
+        assert not missing.size, f"no sample has the dark code {missing[0]}"
 
     def test_nothing_is_added_to_the_light(self, camera: Camera) -> None:
         """The light of two frames is proportional: no frame has more in bright and dark parts."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import queue
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -24,6 +26,7 @@ from camctl.drivers.genicam.port import (
 from camctl.errors import CameraError, CameraNotFoundError
 
 _SEARCH_MS = 500  # of the network
+_TAKING_MS = 20  # that it waits for a frame before it looks whether the stream is to stop
 #: Of a camera's clock: ns in GigE Vision 2 and USB3 Vision, while GigE Vision 1 states it.
 _TICKS_PER_S, _TICK_RATE = 1e9, "GevTimestampTickFrequency"
 #: By the first word of its names of kinds of nodes.
@@ -112,7 +115,10 @@ class VivaDevice:
         self._camera = camera
         self._name = name
         self._stream: Any = None
-        self._missing = self._resent = 0
+        self._arrived: queue.Queue[tuple[Any, float]] = queue.Queue()
+        self._taking = threading.Event()
+        self._missing = self._resent = 0  # of the streams before
+        self._counts = PacketCounts(0, 0)
         self._ticks_per_s = _TICKS_PER_S
 
     # ---- features
@@ -193,24 +199,45 @@ class VivaDevice:
         with self._errors("a stream"):
             self._stream = self._camera.stream(deliver_incomplete=True)
             self._stream.__enter__()
+        self._arrived = queue.Queue(buffers)
+        self._taking.set()
+        self._taker = threading.Thread(target=self._take, args=(self._stream,), daemon=True)
+        self._taker.start()
 
     def stop(self) -> None:
         stream, self._stream = self._stream, None
         if stream is None:
             return
-        self._missing, self._resent = self._totals(stream)
+        self._taking.clear()
+        self._taker.join()
+        self._missing, self._resent = self._counts.missing, self._counts.resent
         with self._errors("AcquisitionStop"):
             stream.__exit__(None, None, None)
 
+    def _take(self, stream: Any) -> None:
+        """Take frames from the package, which keeps a few and drops others, until the stop."""
+        while self._taking.is_set():
+            try:
+                found = stream.next_frame(_TAKING_MS)
+            except self._package.GenicamError as error:
+                if "waiting for frame" in str(error):
+                    continue
+                found = error
+            self._counts = PacketCounts(*self._totals(stream))
+            with suppress(queue.Full):  # the newest is lost, and its number is missing
+                self._arrived.put_nowait((found, time.monotonic()))
+            if found is None or isinstance(found, Exception):
+                return
+
     def receive(self, timeout_s: float) -> Received | None:
         try:
-            frame = self._stream.next_frame(max(1, round(timeout_s * 1000)))
-        except self._package.TransportError as error:
-            if "waiting for frame" in str(error):
-                return None
-            raise lost_control(self._name, str(error)) from error
+            frame, arrived_s = self._arrived.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
         if frame is None:
             raise lost_control(self._name, "the stream has ended")
+        if isinstance(frame, Exception):
+            raise lost_control(self._name, str(frame)) from frame
         is_complete = bool(frame.is_complete)
         return Received(
             data=np.frombuffer(frame.payload() if is_complete else b"", np.uint8),
@@ -218,16 +245,14 @@ class VivaDevice:
             code=frame.pixel_format_code,
             line_padding=frame.padding_x,
             number=frame.block_id,
-            arrived_s=time.monotonic(),
+            arrived_s=arrived_s,
             stamp_s=(frame.ts_dev or 0) / self._ticks_per_s,
             is_complete=is_complete,
             chunks=self._chunks(frame) if is_complete else {},
         )
 
     def packets(self) -> PacketCounts:
-        if self._stream is None:
-            return PacketCounts(self._missing, self._resent)
-        return PacketCounts(*self._totals(self._stream))
+        return self._counts
 
     def close(self) -> None:
         with suppress(CameraError):  # it is gone, or stops without the command

@@ -345,6 +345,17 @@ class StampsFramesLate(Liar):
         return replace(frame, timestamp_s=frame.timestamp_s + 0.02)
 
 
+class StampsFramesEarly(Liar):
+    def returned(self, frame: Frame) -> Frame:
+        return replace(frame, timestamp_s=frame.timestamp_s - 0.02)
+
+
+class HasNoBit2(Liar):
+    def returned(self, frame: Frame) -> Frame:
+        pixels: Any = frame.pixels
+        return replace(frame, pixels=pixels - (pixels & 4))
+
+
 class HasNoLowestBit(Liar):
     def returned(self, frame: Frame) -> Frame:
         return replace(frame, pixels=frame.pixels & ~np.ones((), frame.pixels.dtype))
@@ -450,10 +461,15 @@ LIARS: list[tuple[type[Liar], Suite, str, dict[str, str]]] = [
     (RepeatsWhereTheSettingStays, Honest, EQUAL, {}),
     (IsNotQuiteWhiteAtHighGain, HonestGain, "test_white_is_exact_at_every_gain", {}),
     (StampsFramesLate, Honest, "test_time_stamps_are_not_later_than_the_frames", {}),
+    (StampsFramesEarly, Honest, "test_time_stamps_are_not_earlier_than_the_exposures", {}),
+    (StampsFramesEarly, HonestGain, "test_time_stamps_are_not_earlier_than_the_exposures", {}),
     (HasNoLowestBit, Honest, "test_every_bit_of_the_samples_is_used", {}),
+    (HasNoBit2, Honest, "test_every_bit_of_the_samples_is_used", {}),
+    (HasNoBit2, HonestTiff, "test_every_bit_of_the_samples_is_used", {}),
     (IsStaleFromFrame120On, Honest, "test_long_sequences_have_the_right_frames", {}),
     (HasADarkBorderAtHighGain, HonestGain, "test_gains_do_not_change_the_shading", {}),
     (HasAGammaNearBlack, HonestGain, ENDS, {}),
+    (HasAGammaNearBlack, Honest, "test_no_dark_code_is_missing", {}),
     (HasAGammaBelow3Percent, HonestGain, ENDS, {}),
     (HasAGammaBelow3Percent, Honest, ENDS, {}),
     (HasAKneeNearWhite, Honest, ENDS, {}),
