@@ -268,7 +268,8 @@ class Summary:
             that is known
         effective_levels_noise_free: the same by quantisation alone
         noise_known: whether the noise is known
-        planned_levels: the effective levels that were planned
+        planned_levels: the effective levels that were planned; None: they cannot be compared, as
+            the plan knew no noise
         saturated: share of the samples that are saturated in every frame, 0 to 1
         folder: folder of the files
         notes: warnings, one line each
@@ -280,7 +281,7 @@ class Summary:
     effective_levels: float
     effective_levels_noise_free: float | None
     noise_known: bool
-    planned_levels: float
+    planned_levels: float | None
     saturated: float
     folder: str
     notes: tuple[str, ...] = ()

@@ -168,9 +168,22 @@ def result(model: Model) -> Screen:
     return BLANK if model.summary is None else _summary(model.summary)
 
 
+def _beside_plan(levels: str, planned_levels: float | None) -> tuple[str, ...]:
+    """Return the effective levels beside those of the plan, from the longest text on."""
+    if planned_levels is None:
+        return (f"{levels} effective levels",)
+    planned = format_levels(planned_levels)
+    if planned == levels:
+        return f"{levels} effective levels, as planned", f"{levels} levels, as planned"
+    return (
+        f"{levels} effective levels, {planned} planned",
+        f"{levels} levels, {planned} planned",
+        f"{levels} of {planned} levels",
+    )
+
+
 def _summary(summary: Summary) -> Screen:
-    levels, planned = format_levels(summary.effective_levels), format_levels(summary.planned_levels)
-    of_plan = "as planned" if levels == planned else f"{planned} planned"
+    levels = format_levels(summary.effective_levels)
     clipped = format_percent(summary.saturated)
     distrust = summary.untrustworthy_because
     head = [Line(("! Not trustworthy",))] if distrust else []
@@ -178,14 +191,7 @@ def _summary(summary: Summary) -> Screen:
         BLANK,
         lines=(
             *head,
-            Line(
-                (
-                    f"{levels} effective levels, {of_plan}",
-                    f"{levels} levels, {of_plan}",
-                    *([] if levels == planned else [f"{levels} of {planned} levels"]),
-                    f"{levels} levels",
-                )
-            ),
+            Line((*_beside_plan(levels, summary.planned_levels), f"{levels} levels")),
             Line((f"{clipped} clipped in all frames", f"{clipped} clipped", clipped)),
         ),
         paragraphs=(

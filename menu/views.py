@@ -75,11 +75,12 @@ def progress_view(progress: CaptureProgress) -> Progress:
 def summary_view(report: CaptureReport, folder: Path) -> Summary:
     """Return what the menu shows of a complete capture."""
     achieved = report.achieved
+    is_comparable = (report.plan.noise is None) == (achieved.levels_with_noise is None)
     return Summary(
         effective_levels=achieved.levels_with_noise or achieved.effective_levels,
         effective_levels_noise_free=achieved.effective_levels_noise_free,
         noise_known=achieved.levels_with_noise is not None,
-        planned_levels=report.plan.effective_levels,
+        planned_levels=report.plan.effective_levels if is_comparable else None,
         saturated=report.achieved.saturated_fraction,
         folder=str(folder),
         notes=tuple(map(finding_text, report.remarks)),

@@ -83,12 +83,13 @@ def test_message_keeps_its_title_on_two_rows() -> None:
     [
         (97.2, 60, "97 effective levels, as planned"),
         (97.2, 20, "97 levels"),
+        (None, 60, "97 effective levels"),
         (120.0, 60, "97 effective levels, 120 planned"),
         (120.0, 20, "97 of 120 levels"),
     ],
 )
 def test_result_names_planned_levels_where_they_are_others(
-    planned: float, columns: int, line: str
+    planned: float | None, columns: int, line: str
 ) -> None:
     assert FULL.summary is not None
     model = replace(

@@ -112,15 +112,16 @@ function result(state, name) {
     } catch (error) { note(error.message); }
   });
   const distrust = summary.untrustworthy_because;
-  const [reached, planned] = [summary.effective_levels, summary.planned_levels].map(levels);
+  const reached = levels(summary.effective_levels);
+  const planned = summary.planned_levels === null ? "" : levels(summary.planned_levels);
   return [
     h("div", {class: "shown"}, h("div", {class: "overlay"}, image, layers, cross)),
     h("div", {},
       buttons(state, {back: state.state === "result" ? "Camera" : "All captures"}),
       reading, switches,
       distrust ? h("p", {class: "bad"}, "Not trustworthy: " + distrust) : null,
-      details([["accuracy", `${reached} effective levels, `
-        + (reached === planned ? "as planned" : `${planned} planned`)],
+      details([["accuracy", `${reached} effective levels` + (reached === planned ? ", as planned"
+        : planned && `, ${planned} planned`)],
       ["clipped", percent(summary.saturated) + " in all frames"], ["name", name]]),
       h("h2", {}, "Findings"),
       summary.notes.length ? h("ul", {}, summary.notes.map(text => h("li", {}, text)))
