@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from camctl.errors import CameraProtocolError, UsageError
 from camctl.interface.camera import Pixels
-from camctl.interface.colour import CameraColour
+from camctl.interface.colour import BT709_PRIMARIES, D65, CameraColour, rgb_to_xyz
 from camctl.interface.controls import Layout
 from camctl.profiles.profile import StillRecord
 from camctl.stills.colour import stated_colour
@@ -359,13 +359,31 @@ def _mosaic(raw: Any, name: str) -> Still:
 
 
 def _raw_colour(raw: Any) -> CameraColour | None:
-    """Return the matrix that LibRaw knows of a camera, with the white balance as shot."""
+    """Return the matrix that a file states or LibRaw knows, with the white balance as shot."""
     balances = (raw.camera_whitebalance, raw.daylight_whitebalance)
-    matrix = np.asarray(raw.rgb_xyz_matrix, np.float64)[:3]
+    matrix = _xyz_to_camera(raw)
     for balance in balances:
         with suppress(ValueError):
             return CameraColour.of_raw(matrix, np.asarray(balance, np.float64)[:3])
     return None
+
+
+def _xyz_to_camera(raw: Any) -> NDArray[np.float64]:
+    """Return the matrix from XYZ to the camera's colours; zeros where it is not known.
+
+    Of DNG files of cameras that it does not know, LibRaw tells the inverse alone, for BT.709, and
+    apart from it the factors by which rows were divided: one over those of daylight.
+    """
+    known = np.asarray(raw.rgb_xyz_matrix, np.float64)[:3]
+    to_bt709 = np.asarray(raw.color_matrix, np.float64)[:, :3]
+    daylight = np.asarray(raw.daylight_whitebalance, np.float64)[:3]
+    # Without any matrix it tells the identity.
+    if known.any() or np.array_equal(to_bt709, np.eye(3)) or not (daylight > 0).all():
+        return known
+    with suppress(np.linalg.LinAlgError):
+        to_xyz = rgb_to_xyz(BT709_PRIMARIES, D65) @ to_bt709
+        return np.asarray(np.linalg.inv(to_xyz) / daylight[:, np.newaxis])
+    return known
 
 
 def _layout(raw: Any, samples: NDArray[np.uint16], name: str) -> tuple[Layout, NDArray[np.intp]]:

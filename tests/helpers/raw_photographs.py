@@ -37,17 +37,19 @@ def mosaic(light: NDArray[Any], time_s: float, seed: int = 0) -> NDArray[np.uint
     return np.clip(np.rint(samples), 0, WHITE).astype(np.uint16)
 
 
-def raw_file(samples: NDArray[np.uint16], time_s: float) -> bytes:
+def raw_file(
+    samples: NDArray[np.uint16], time_s: float, model: str = "Canon EOS 5D Mark II"
+) -> bytes:
     """Return a DNG file (version 1.4) with the matrix, the white balance and the exposure."""
     time = Fraction(time_s).limit_denominator(1 << 20)
     tags: list[Any] = [
-        (271, 2, 0, "Canon", True),
-        (272, 2, 0, "Canon EOS 5D Mark II", True),
+        (271, 2, 0, model.split()[0], True),
+        (272, 2, 0, model, True),
         (33434, 5, 1, (time.numerator, time.denominator), True),
         (33437, 5, 1, (8, 1), True),
         (34855, 3, 1, 100, True),
         (50706, "B", 4, (1, 4, 0, 0), True),
-        (50708, "s", 0, "Canon EOS 5D Mark II", True),
+        (50708, "s", 0, model, True),
         (33421, "H", 2, (2, 2), True),
         (33422, "B", 4, (0, 1, 1, 2), True),
         (50713, "H", 2, (2, 2), True),

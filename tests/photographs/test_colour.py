@@ -77,6 +77,16 @@ def test_raw_photographs_give_linear_bt709(raw_files: list[Path]) -> None:
     assert np.nanmedian(report.standard_deviation()) > 0
 
 
+def test_raw_files_of_a_camera_that_libraw_does_not_know_have_their_own_matrix(
+    raw_files: list[Path],
+) -> None:
+    for file, time_s in zip(raw_files, TIMES, strict=True):
+        file.write_bytes(raw_file(mosaic(SCENE, time_s), time_s, "Nobody Nothing 1"))
+    errors = colour_errors(merged(raw_files).radiance(), SCENE)
+    assert np.median(np.abs(errors)) < 0.01
+    assert (raw_files[0].parent / "out" / "picture.dng").exists()
+
+
 def test_camera_colours_are_as_in_the_files_and_state_nothing(raw_files: list[Path]) -> None:
     report = merged(raw_files, colour="camera")
     errors = colour_errors(report.radiance(), camera_rgb(SCENE))
