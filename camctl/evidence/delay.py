@@ -5,8 +5,8 @@ is known: the settings of each sequence of the capture, and the setting in which
 after it.  What was in force before the first sequence is one unknown exposure.
 
 Beside it stand the other explanations of a capture's frames: each has its own exposure, but for
-frames that are wrong; or the camera clamps what is set, and its longest or shortest exposures are
-one.  The most probable one counts.
+frames that are wrong; or a frame was sent twice; or the camera clamps what is set, and its longest
+or shortest exposures are one.  The most probable one counts.
 """
 
 from __future__ import annotations
@@ -139,6 +139,8 @@ class ShotLog:
         clamped = [self._scores.score(*each) for each in _clamped(asked)]
         others = [self._scores.score(as_set)]
         others += [score + _UNLIKELY - math.log(len(clamped)) for score in clamped]
+        repeated = [self._scores.score(each) for each in _repeated(as_set)]
+        others += [score + _UNLIKELY - math.log(len(repeated)) for score in repeated]
         shares = {
             shift: _UNLIKELY - math.log(len(late)) + _log_mean(map(self._scores.score, each))
             for shift, each in late.items()
@@ -228,6 +230,15 @@ def _clamped(settings: _Asked) -> Iterator[tuple[Explanation, tuple[float, float
             else:
                 had.append([Had(each.exposure)])
         yield had, limits
+
+
+def _repeated(as_set: Explanation) -> list[Explanation]:
+    """Return that a frame was sent again in place of the one after it."""
+    return [
+        [*as_set[:shot], as_set[shot - 1], *as_set[shot + 1 :]]
+        for shot in range(1, len(as_set))
+        if as_set[shot] and as_set[shot - 1]
+    ]
 
 
 def _log_sum(values: Iterable[float]) -> float:

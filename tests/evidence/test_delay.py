@@ -85,6 +85,20 @@ def test_few_frames_may_show_an_error_or_a_wrong_frame() -> None:
     assert found((0.01, 0.02, 0.05), (0.01, 0.01, 0.01), compared=0.01) is None
 
 
+@pytest.mark.parametrize("fault", ["corrupt_frames", "repeated_frames"])
+@pytest.mark.parametrize(("count", "place"), [(2, 1), (3, 0), (3, 1), (4, 3)])
+def test_a_frame_that_was_sent_wrong_is_shot_again_first(
+    fault: str, count: int, place: int
+) -> None:
+    faults = Faults(**{fault: [place]})  # type: ignore[arg-type]
+    with camctl.open_camera("sim", sensor="standard", size="160x120", faults=faults) as camera:
+        ratios = tuple(3.0**k for k in range(count))
+        report = capture(camera, CaptureRequest(ratios=ratios, base_s=0.004))
+    assert report.trustworthy
+    assert not [each for each in report.findings if each.code.startswith("delay")]
+    assert count == 2 or min(frame.attempts for frame in report.frames) == 1
+
+
 def test_one_wrong_frame_is_not_an_error_of_the_delay() -> None:
     error = found((0.01, 0.02, 0.05, 0.15), (0.01, 0.01, 0.05, 0.15))
     assert error is None or not error.is_probable
