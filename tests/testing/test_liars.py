@@ -8,9 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from liars import (
+    AddsToLongExposures,
+    HasAGammaBelow3Percent,
+    HasAGammaNearBlack,
+    HasAKneeNearWhite,
+    Liar,
+)
 from ptp_bench import Bench, bench, in_force
-from small_cameras import WrappedCamera
 from still_scene import open_before, waves
 
 from camctl.errors import CameraDisconnectedError, CameraTimeoutError
@@ -105,38 +110,6 @@ class TestHonestStill(HonestStill):
     run_length = 30
 
 
-class Liar(WrappedCamera):
-    """Passes changed settings on, and states the requested ones; it previews by shooting."""
-
-    count = 0
-
-    def preview(self, setting: ExposureSetting) -> Frame:
-        (frame,) = self.shoot([setting])
-        return frame
-
-    def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
-        for setting in settings:
-            self.controls.check(setting)
-        changed = [self.possible(self.changed(setting)) for setting in settings]
-        return self._frames(self.camera.shoot(changed), settings)
-
-    def _frames(
-        self, frames: FrameStream, settings: Sequence[ExposureSetting]
-    ) -> Generator[Frame, None, None]:
-        for frame, setting in zip(frames, settings, strict=True):
-            type(self).count += 1
-            yield self.returned(replace(frame, requested=setting, applied=setting))
-
-    def possible(self, setting: ExposureSetting) -> ExposureSetting:
-        return replace(setting, time_s=self.controls.time_s.nearest(setting.time_s))
-
-    def changed(self, setting: ExposureSetting) -> ExposureSetting:
-        return setting
-
-    def returned(self, frame: Frame) -> Frame:
-        return frame
-
-
 class IsOneFrameAhead(Liar):
     """In an endless stream it states the exposure of the frame before."""
 
@@ -208,9 +181,6 @@ class FailsOnLongLists(Liar):
         if len(settings) > 40:
             raise RuntimeError("list index out of range")
         return super().shoot(settings)
-
-
-# Five more.
 
 
 class AppliesTheFNumberOnce(Liar):
@@ -341,24 +311,26 @@ class IsNotQuiteWhiteAtHighGain(Liar):
 
 
 class StampsFramesLate(Liar):
+    late_s = 0.02
+
     def returned(self, frame: Frame) -> Frame:
-        return replace(frame, timestamp_s=frame.timestamp_s + 0.02)
+        return replace(frame, timestamp_s=frame.timestamp_s + self.late_s)
 
 
-class StampsFramesEarly(Liar):
-    def returned(self, frame: Frame) -> Frame:
-        return replace(frame, timestamp_s=frame.timestamp_s - 0.02)
-
-
-class HasNoBit2(Liar):
-    def returned(self, frame: Frame) -> Frame:
-        pixels: Any = frame.pixels
-        return replace(frame, pixels=pixels - (pixels & 4))
+class StampsFramesEarly(StampsFramesLate):
+    late_s = -0.02
 
 
 class HasNoLowestBit(Liar):
+    bit = 0
+
     def returned(self, frame: Frame) -> Frame:
-        return replace(frame, pixels=frame.pixels & ~np.ones((), frame.pixels.dtype))
+        pixels: Any = frame.pixels
+        return replace(frame, pixels=pixels - (pixels & 1 << self.bit))
+
+
+class HasNoBit2(HasNoLowestBit):
+    bit = 2
 
 
 class IsStaleFromFrame120On(Liar):
@@ -386,71 +358,31 @@ class HasADarkBorderAtHighGain(Liar):
         return replace(frame, pixels=np.where(mask, frame.pixels, dark))
 
 
-class _Bends(Liar):
-    """Its linear response is another one than it states, in a part of the range."""
-
-    def returned(self, frame: Frame) -> Frame:
-        span = float(frame.white - frame.black)
-        share = (frame.pixels.astype(float) - frame.black) / span
-        pixels: Any = np.rint(self.bent(share) * span + frame.black)
-        return replace(frame, pixels=np.minimum(pixels, frame.white).astype(frame.pixels.dtype))
-
-    def bent(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        raise NotImplementedError
-
-
-class HasAGammaNearBlack(_Bends):
-    limit = 0.01
-
-    def bent(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        dark = np.sqrt(np.maximum(share, 0) / self.limit) * self.limit
-        return np.where((share > 0) & (share < self.limit), dark, share)
-
-
-class HasAGammaBelow3Percent(HasAGammaNearBlack):
-    limit = 0.03
-
-
-class HasAKneeNearWhite(_Bends):
-    def bent(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.where(share > 0.9, 0.9 + (share - 0.9) / 2, share)
-
-
-class AddsToLongExposures(_Bends):
-    """Half a per cent of white."""
-
-    def returned(self, frame: Frame) -> Frame:
-        return super().returned(frame) if frame.applied.time_s > 0.018 else frame
-
-    def bent(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        return share + 0.005
-
-
 Suite = type[Honest] | type[HonestStill]
 # What a check raises: its own assertion, pytest's if an error did not come, or the liar's error.
 _FOUND = (AssertionError, pytest.fail.Exception, RuntimeError)
 RANGE, CONTROL = "test_light_follows_the_control_over_its_whole_range", "control"
-
 EQUAL = "test_equal_settings_in_a_row_have_frames_of_their_own"
 ENDS = "test_the_response_holds_near_black_and_near_white"
 ADDED = "test_nothing_is_added_to_the_light"
 THIRDS = "test_neighbouring_times_differ_in_light"
 ORIGIN = "test_the_response_is_known_or_said_to_be_assumed"
+LONG = "test_long_sequences_have_the_right_frames"
 
 LIARS: list[tuple[type[Liar], Suite, str, dict[str, str]]] = [
     (IgnoresGain, HonestGain, RANGE, {CONTROL: "gain"}),
     (IgnoresFNumber, HonestStill, RANGE, {CONTROL: "f_number"}),
     (ExposesLongTimesTooLong, Honest, RANGE, {CONTROL: "time_s"}),
-    (RepeatsEveryThirtiethFrame, Honest, "test_long_sequences_have_the_right_frames", {}),
+    (RepeatsEveryThirtiethFrame, Honest, LONG, {}),
     (MirrorsTheLowerHalf, Honest, "test_frames_show_the_same_picture", {}),
     (ClampsLongTimes, Honest, "test_long_exposures_last_as_long_as_they_state", {}),
     (ClampsLongTimes, HonestStill, "test_long_exposures_last_as_long_as_they_state", {}),
-    (FailsOnLongLists, Honest, "test_long_sequences_have_the_right_frames", {}),
+    (FailsOnLongLists, Honest, LONG, {}),
     (AppliesTheFNumberOnce, HonestStill, RANGE, {CONTROL: "f_number"}),
     (SetsFullStopsOnly, HonestStill, "test_neighbouring_times_differ_in_light", {}),
     (ClipsBelowItsWhiteLevel, Honest, RANGE, {CONTROL: "time_s"}),
     (HasHighGainsWrong, HonestGain, RANGE, {CONTROL: "gain"}),
-    (SwapsPairsOfFrames, Honest, "test_long_sequences_have_the_right_frames", {}),
+    (SwapsPairsOfFrames, Honest, LONG, {}),
     (InventsTimestamps, Honest, "test_timestamps_increase", {}),
     (HidesItsBlackLevel, Honest, RANGE, {CONTROL: "time_s"}),
     (RepeatsItsLastFrame, Honest, "test_unplugged_camera_raises_an_error_of_one_line", {}),
@@ -466,7 +398,7 @@ LIARS: list[tuple[type[Liar], Suite, str, dict[str, str]]] = [
     (HasNoLowestBit, Honest, "test_every_bit_of_the_samples_is_used", {}),
     (HasNoBit2, Honest, "test_every_bit_of_the_samples_is_used", {}),
     (HasNoBit2, HonestTiff, "test_every_bit_of_the_samples_is_used", {}),
-    (IsStaleFromFrame120On, Honest, "test_long_sequences_have_the_right_frames", {}),
+    (IsStaleFromFrame120On, Honest, LONG, {}),
     (HasADarkBorderAtHighGain, HonestGain, "test_gains_do_not_change_the_shading", {}),
     (HasAGammaNearBlack, HonestGain, ENDS, {}),
     (HasAGammaNearBlack, Honest, "test_no_dark_code_is_missing", {}),
