@@ -28,7 +28,9 @@ TOKEN_VARIABLE = "CAMCTL_MENU_TOKEN"
 _PAGE = Path(__file__).with_name("web.html").read_bytes()
 _KEYS = {key.name.lower(): key for key in Key}
 _KINDS = {
+    ".dng": "image/x-adobe-dng",
     ".exr": "image/x-exr",
+    ".jpg": "image/jpeg",
     ".json": "application/json",
     ".png": "image/png",
     ".tiff": "image/tiff",

@@ -275,14 +275,17 @@ def test_no_request_ends_in_a_traceback(token: str, capsys: pytest.CaptureFixtur
 
 def test_the_last_result_is_shown_and_handed_over(panel: WebPanel, tmp_path: Path) -> None:
     large = bytes(range(256)) * 20_000  # several parts
-    for name, data in (("preview.png", b"png"), ("radiance.exr", large), ("notes.txt", b"no")):
+    handed = {"picture.dng": b"dng", "picture.jpg": b"jpg", "preview.png": b"png"}
+    handed["radiance.exr"] = large
+    for name, data in {**handed, "notes.txt": b"no"}.items():
         (tmp_path / name).write_bytes(data)
     (tmp_path / "frames").mkdir()
     panel.show(Screen(Line(("Done",)), folder=str(tmp_path)))
     panel.show(SCREEN)  # the result stays
     shown = json.loads(ask(panel, "screen?after=0")[1])
-    assert (shown["result"], shown["files"]) == (tmp_path.name, ["preview.png", "radiance.exr"])
-    assert ask(panel, "result/radiance.exr") == (200, large)
+    assert (shown["result"], shown["files"]) == (tmp_path.name, [*handed])
+    for name, data in handed.items():
+        assert ask(panel, f"result/{name}") == (200, data)
     assert ask(panel, "result/preview.png?of=1") == (200, b"png")
     for other in ("notes.txt", "frames", "..%2Fpreview.png", "%2Fetc%2Fhostname", "", "sum.tiff"):
         assert ask(panel, f"result/{other}")[0] == 404
