@@ -77,7 +77,8 @@ def check_reversed(photographs: Sequence[Photograph], patches: Sequence[Patches]
 def doubted_labels(series: Series) -> dict[int, float]:
     """Return, by position, by which factors exposures are wrong; without a known response.
 
-    Empty where all are right, or where it cannot be told which are not.
+    Empty where all are right, or where too few agree to tell the unit of the others.  Those that
+    agree need not be most: for a response the exposures of some to the others suffice.
     """
     shown = series.connected()
     if len(shown) <= _AGREE_WITHOUT:
@@ -95,12 +96,24 @@ def doubted_labels(series: Series) -> dict[int, float]:
     except DataError:
         return {}
     limit = math.log(MOST_CORRECTED)
-    jumps = np.diff(label_errors(logs, np.log(found), is_seen))
+    jumps = _jumps(np.diff(logs), np.diff(np.log(found)))
     errors = steady_errors(jumps, [STEADY * limit] * jumps.size)
     wrong = np.flatnonzero(np.abs(errors) > limit).tolist()
-    if logs.size - len(wrong) < max(_AGREE_WITHOUT, len(wrong) + 1):
+    if logs.size - len(wrong) < _AGREE_WITHOUT:
         return {}
     return {shown[k]: math.exp(errors[k]) for k in wrong}
+
+
+def _jumps(stated: FloatArray, found: FloatArray) -> FloatArray:
+    """Return by how much steps from each photograph to the next differ from those stated.
+
+    Steps are logarithms, and `found` is known up to a factor of all: the one of a step with which
+    the sum of the square roots is least.  Photographs of which every second one is wrong have right
+    steps, and exposures that no line joins.
+    """
+    slopes = [b / a for a, b in zip(stated.tolist(), found.tolist(), strict=True) if a * b > 0]
+    jumps = [found / slope - stated for slope in slopes]
+    return min(jumps, key=lambda each: float(np.sqrt(np.abs(each)).sum()), default=found - stated)
 
 
 def wrong_labels(

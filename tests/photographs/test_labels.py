@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from camctl.calibration.response.series import Series
 from camctl.errors import DataError
 from camctl.evidence.patches import Patches, sample_patches
 from camctl.findings import Finding
+from camctl.interface.controls import Layout
 from camctl.model.response.camera import standard_response
 from camctl.model.sensor import SensorModel
 from camctl.photographs.camera import Photograph
-from camctl.photographs.labels import check_reversed, wrong_labels
+from camctl.photographs.labels import check_reversed, doubted_labels, wrong_labels
 
 TRUE_S = tuple(2.0**k for k in range(-6, -1))
 SCALE = SensorModel(standard_response("power", 8, phase=0.5), 0)
@@ -71,3 +73,18 @@ def test_exposures_in_reverse_order_are_refused() -> None:
     stated = [Photograph(f"p{k}", label) for k, label in enumerate(TRUE_S[::-1])]
     with pytest.raises(DataError, match="in the reverse order"):
         check_reversed(stated, PATCHES)
+
+
+def test_steps_between_labels_are_right_where_most_of_the_labels_are_not() -> None:
+    """Of a bracket of nine the longest time of the camera was reached, and the labels went on."""
+    true = np.array([1, 2, 4, 4, 4, 4, 4, 8, 16]) / 64
+    stated = 2.0 ** np.arange(9)[[0, 1, 2, 6, 5, 3, 4, 7, 8]]
+    rng = np.random.default_rng(5)
+    light = np.geomspace(0.02, 4, 240)[:, np.newaxis] * rng.uniform(0.7, 1.4, (240, 320))
+    series = Series(Layout.MONO, 8)
+    for k, time_s in enumerate(true.tolist()):
+        codes = 255 * np.clip(light * time_s * 4, 0, 1) ** (1 / 2.2) + rng.normal(0, 1, light.shape)
+        series.add(np.clip(np.rint(codes), 0, 255).astype(np.uint8), float(stated[k]), f"p{k}")
+    right = stated * [doubted_labels(series).get(k, 1.0) for k in range(9)]
+    steps = np.diff(np.log(right)) - np.diff(np.log(true))
+    assert np.abs(steps).max() < 0.1
