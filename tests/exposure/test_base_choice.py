@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import cycle
@@ -14,6 +15,7 @@ from camctl.errors import CamctlError, CaptureError, UsageError
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.light import Light, Metering
 from camctl.exposure.search.best import Search
+from camctl.exposure.search.settings import listed_up_to_longest
 from camctl.interface.controls import (
     Choices,
     Control,
@@ -176,3 +178,18 @@ def test_every_preset_has_a_plan_at_its_longest_time(preset: str) -> None:
     else:
         plan = plan_for(controls, Search(controls, request), light)
         assert plan.exposures[-1] == pytest.approx(24.6, rel=0.35)
+
+
+@pytest.mark.parametrize("count", [2, 3, 5, 8, 12, 16])
+@pytest.mark.parametrize("gain", GAINS)
+def test_a_list_up_to_the_longest_time_makes_few_sets(count: int, gain: Control) -> None:
+    """Each is scored: more would take minutes."""
+    controls = controls_of(Steps(1e-4, 0.1, 1e-4), gain, None)
+    found = listed_up_to_longest(controls, 0.0126, count, 400)
+    assert isinstance(found.time_s, Choices)
+    assert isinstance(found.gain, Choices)
+    number = len(found.time_s.values) + len(found.gain.values) - 1
+    assert count <= number
+    assert math.comb(number - 1, count - 1) <= 400 or number == count
+    assert max(found.time_s.values) == pytest.approx(0.1)
+    assert max(found.gain.values) == gain.maximum

@@ -319,16 +319,19 @@ def _settings_by_xi(
     score = missing_levels if request.ratios is None else deviation
     chooser = SettingChooser(controls, request, ratios, score)
     count = len(ratios)
+    evaluations = _MOST_LEVELS_SORTED // (count * real.M)
+    evaluations = max(_LEAST_SETS, min(_MOST_SETS, evaluations))
     if request.ratios is None and chooser.sets_time_only:
         is_beyond = request.base_s is None and not chooser.reaches(limit_s)
-        listed = listed_up_to_longest(controls, limit_s, count) if is_beyond else controls
+        listed = controls
+        if is_beyond:
+            listed = listed_up_to_longest(controls, limit_s, count, evaluations)
         if isinstance(listed.time_s, Choices):
             if request.base_s is None:  # a metered base is shortened until enough exposures follow
                 limit_s = min(limit_s, longest_base_on_list(listed, count))
             found = search_choices(listed, request, desired, count, limit_s)
             return found, controls.relative_exposures(found) if is_beyond else ratios
-    evaluations = _MOST_LEVELS_SORTED // (count * real.M)
-    return chooser.best(limit_s, max(_LEAST_SETS, min(_MOST_SETS, evaluations))), ratios
+    return chooser.best(limit_s, evaluations), ratios
 
 
 def within_budget(

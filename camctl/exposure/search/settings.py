@@ -32,6 +32,8 @@ _BASES, _KEPT_BASES = 24, 4
 _NEIGHBOURS = 3
 #: Gains and apertures that extend the shutter times, at most.
 _GAINS, _APERTURES = 64, 8
+#: Exposures on such a list that is made for a camera without one, at most: 16 stops of sixths.
+_LISTED = 96
 #: Sets that are compared where only the ratios count.
 _MOST_ROUNDED = 100
 #: Relative difference between requested and applied exposure from which there is a warning.
@@ -294,19 +296,34 @@ def _listed_exposures(controls: ExposureControls) -> dict[float, ExposureSetting
 
 
 def listed_up_to_longest(
-    controls: ExposureControls, limit_s: float, count: int
+    controls: ExposureControls, limit_s: float, count: int, most_sets: int
 ) -> ExposureControls:
-    """Return the controls with a list of times alone, from `limit_s` to the longest one.
+    """Return the controls with lists alone: times from `limit_s` to the longest, and gains from it.
 
-    They are `BASE_SLACK_STOPS` apart, and `count` at least where the camera has so many.
+    They are `BASE_SLACK_STOPS` apart, or so far that `count` of them make up to about `most_sets`
+    sets with one shortest exposure; at least `count`, where the camera has so many.
     """
-    times = controls.time_s
+    times, gain = controls.time_s, controls.gain.nearest(1.0)
     if isinstance(times, Choices):
         return controls
+    size = count
+    while size < _LISTED and math.comb(size, count - 1) <= most_sets:
+        size += 1
     base_s = at_most(times, limit_s)
-    steps = max(math.ceil(math.log2(times.maximum / base_s) / BASE_SLACK_STOPS), count)
-    listed = {times.nearest(times.maximum * 2.0 ** (-k * BASE_SLACK_STOPS)) for k in range(steps)}
-    return replace(controls, time_s=Choices(tuple(sorted({base_s, *listed}))))
+    stops = math.log2(times.maximum / base_s * controls.gain.maximum / gain)
+    step = max(BASE_SLACK_STOPS, stops / size)
+
+    def listed(control: Control, least: float, fewest: int) -> Choices:
+        steps = max(math.ceil(math.log2(control.maximum / least) / step), fewest)
+        found = {control.nearest(control.maximum * 2.0 ** (-k * step)) for k in range(steps)}
+        return Choices(tuple(sorted({least, *found})))
+
+    while True:
+        gains = listed(controls.gain, gain, 0)
+        shorter = listed(times, base_s, count - len(gains.values) + 1)
+        if len(shorter.values) + len(gains.values) - 1 <= size or step >= stops:
+            return replace(controls, time_s=shorter, gain=gains)
+        step *= 2**BASE_SLACK_STOPS
 
 
 def longest_base_on_list(controls: ExposureControls, count: int) -> float:
