@@ -57,6 +57,7 @@ class FrameChecks:
             self._controls,
             self._compare_shots,
             lambda shot: float(self._shots[shot].patches.mean()),
+            capture.request.mains_hz,
         )
         self._delay_of = camera.info.id if self._log.has_delay else None
         self.thumbnails: dict[int, NDArray[np.uint8]] = {}

@@ -5,8 +5,8 @@ is known: the settings of each sequence of the capture, and the setting in which
 after it.  What was in force before the first sequence is one unknown exposure.
 
 Beside it stand the other explanations of a capture's frames: each has its own exposure, but for
-frames that are wrong; or a frame was sent twice; or the camera clamps what is set, and its longest
-or shortest exposures are one.  The most probable one counts.
+frames that are wrong; or lamps flicker; or a frame was sent twice; or the camera clamps what is
+set, and its longest or shortest exposures are one.  The most probable one counts.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 
-from camctl.evidence.explanation import Compare, Explanation, Explanations, Had
+from camctl.evidence.explanation import Compare, Explanation, Explanations, Flicker, Had
+from camctl.evidence.light_ratio import lamp_factor
 from camctl.evidence.ratio_check import SIGNIFICANCE
 from camctl.interface.controls import ExposureControls, ExposureSetting, resting_setting
 
@@ -64,6 +65,7 @@ class ShotLog:
         controls: of the camera
         compare: two shots, which are numbered from 0 in the order of `begin`
         brightness: of a shot
+        mains_hz: frequency of the mains that feeds lamps; None: unknown
 
     Attributes:
         has_delay: whether the camera is a stream, whose settings take effect late
@@ -75,8 +77,9 @@ class ShotLog:
         controls: ExposureControls,
         compare: Compare,
         brightness: Callable[[int], float],
+        mains_hz: float | None = None,
     ) -> None:
-        self._settings, self._controls = settings, controls
+        self._settings, self._controls, self._mains_hz = settings, controls, mains_hz
         settles = controls.timing is not None and controls.timing.old_frames > 0
         self.has_delay = controls.delay_frames is not None or settles
         self._sequences: list[tuple[int, ...]] = []
@@ -120,7 +123,9 @@ class ShotLog:
                 len(self._sequences) if first or self._settled_from is None else self._settled_from
             )
             self._found[key] = (
-                self._find(first, late(range(first, last))) if self.has_delay else None
+                self._find(first, late(range(first, last)))
+                if self.has_delay and self._scores.has_others
+                else None
             )
         return self._found[key]
 
@@ -138,6 +143,7 @@ class ShotLog:
             return None
         clamped = [self._scores.score(*each) for each in _clamped(asked)]
         others = [self._scores.score(as_set)]
+        others.append(self._scores.score(as_set, flicker=self._flicker(asked)) + _UNLIKELY)
         others += [score + _UNLIKELY - math.log(len(clamped)) for score in clamped]
         repeated = [self._scores.score(each) for each in _repeated(as_set)]
         others += [score + _UNLIKELY - math.log(len(repeated)) for score in repeated]
@@ -152,6 +158,15 @@ class ShotLog:
         rest = [share for shift, share in shares.items() if shift != best]
         is_one = bool(best) and shares[best] + _UNLIKELY >= _log_sum(rest)
         return DelayError(best if is_one else None, odds)
+
+    def _flicker(self, asked: _Asked) -> Flicker:
+        """Return by how much lamps that flicker change the ratio of two shots."""
+
+        def spread(one: int, other: int) -> float:
+            times_s = [each.time_s for each in (asked[one], asked[other]) if each is not None]
+            return math.log(lamp_factor(times_s, self._mains_hz)) / math.sqrt(3)
+
+        return spread
 
     def _late(self, numbers: Sequence[int]) -> _Late:
         """Return what shots had by the frames that exposures of some sequences come late."""

@@ -12,11 +12,19 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
+import numpy as np
+
 from camctl.evidence.ratio_check import SIGNIFICANCE, RatioCheck, significant_sigmas
 from camctl.interface.controls import ExposureControls
 
 #: Compares the frames of two shots at a ratio of their exposures, the second over the first.
 Compare = Callable[[int, int, float], RatioCheck]
+
+#: Returns the standard deviation of the logarithm of the ratio of two shots by what is no noise.
+Flicker = Callable[[int, int], float]
+
+#: Light is computed in single precision: no ratio is more exact, not even where there is no noise.
+_LEAST_ERROR = float(np.finfo(np.float32).eps)
 
 
 class Had(NamedTuple):
@@ -53,13 +61,18 @@ class Explanations:
         compare: Compare,
         brightness: Callable[[int], float],
     ) -> None:
-        ranges = (controls.time_s, controls.gain)
-        self._range = sum(math.log(each.maximum / each.minimum) for each in ranges)
+        ranges = (controls.time_s, controls.gain, controls.f_number, controls.f_number)
+        self._range = sum(math.log(each.maximum / each.minimum) for each in ranges if each)
         self._sigmas = significant_sigmas(pairs)
         self._compare, self._brightness = compare, brightness
         self._checks: dict[tuple[float, ...], RatioCheck] = {}
 
-    def score(self, explanation: Explanation, limits: tuple[float, float] = (0, math.inf)) -> float:
+    def score(
+        self,
+        explanation: Explanation,
+        limits: tuple[float, float] = (0, math.inf),
+        flicker: Flicker | None = None,
+    ) -> float:
         """Return the logarithm of the probability of the frames over that of any light.
 
         A frame that does not fit counts as a wrong one, which has a probability of its own.
@@ -67,14 +80,15 @@ class Explanations:
         Args:
             explanation: of each shot
             limits: of the exposure that is not known
+            flicker: of the light, where the explanation has one
         """
         values = list(self._values(explanation))
         if not values:
-            return self._score(explanation)
+            return self._score(explanation, flicker)
         # The unknown exposure has the most probable of the values that single pairs give.
         return max(
             (
-                self._score(_with_unknown(explanation, value)) - gain
+                self._score(_with_unknown(explanation, value), flicker) - gain
                 for value, gain in values
                 if limits[0] <= value <= limits[1]
             ),
@@ -89,6 +103,11 @@ class Explanations:
             for (one, first), (other, second) in pairwise(shots)
         )
 
+    @property
+    def has_others(self) -> bool:
+        """Whether the camera has more than one exposure, which frames may have wrongly."""
+        return self._range > 0
+
     def highest(self, explanation: Explanation) -> float:
         """Return the highest score that any explanation of the same shots may have."""
         shots = [(shot, each[0]) for shot, each in self._ordered(explanation) if each]
@@ -100,7 +119,7 @@ class Explanations:
             found += self._gain(light[1])
         return found
 
-    def _score(self, explanation: Explanation) -> float:
+    def _score(self, explanation: Explanation, flicker: Flicker | None) -> float:
         wrong = math.log(SIGNIFICANCE / len(explanation))
         # Shots, what they had, and the scores up to them without those of the wrong ones.
         best: list[tuple[int, Had, float]] = []
@@ -109,7 +128,9 @@ class Explanations:
             after = skipped + (wrong if each else 0.0)
             found = []
             for had in each:
-                scores = [score + self._fit(one, shot, first, had) for one, first, score in best]
+                scores = [
+                    score + self._fit(one, shot, first, had, flicker) for one, first, score in best
+                ]
                 score = max([0.0, *scores]) + skipped - after - math.log(len(each))
                 found.append((shot, had, score))
             best += found
@@ -120,10 +141,13 @@ class Explanations:
         """Return the shots and what they had, from the darkest on."""
         return sorted(enumerate(explanation), key=lambda each: self._brightness(each[0]))
 
-    def _fit(self, one: int, other: int, first: Had, second: Had) -> float:
+    def _fit(
+        self, one: int, other: int, first: Had, second: Had, flicker: Flicker | None = None
+    ) -> float:
         if first.is_known != second.is_known:
             return 0.0  # any ratio fits
-        return self._agreement(one, other, second.exposure / first.exposure)
+        spread = 0.0 if flicker is None else flicker(one, other)
+        return self._agreement(one, other, second.exposure / first.exposure, spread)
 
     def _values(self, explanation: Explanation) -> Iterator[tuple[float, float]]:
         """Yield what pairs of neighbouring shots say of the unknown exposure, and their gain."""
@@ -137,11 +161,12 @@ class Explanations:
                 value = 1 / factor if first.is_known else factor
                 yield value, self._gain(light[1])
 
-    def _agreement(self, one: int, other: int, ratio: float) -> float:
+    def _agreement(self, one: int, other: int, ratio: float, spread: float) -> float:
         """Return the logarithm of the density of two frames' light over that of any light."""
         light = self._light(one, other, ratio)
         if light is not None:
-            return self._gain(light[1]) - ((light[0] - math.log(ratio)) / light[1]) ** 2 / 2
+            sigma = math.hypot(light[1], spread)
+            return self._gain(sigma) - ((light[0] - math.log(ratio)) / sigma) ** 2 / 2
         # Saturated samples contradict a ratio although none is measured.
         check = self._check(one, other, ratio)
         contradicts = check.is_one_ratio and not check.agrees
@@ -155,7 +180,8 @@ class Explanations:
         check = self._check(one, other, ratio)
         if check.measured is None or not check.is_one_ratio:
             return None
-        return math.log(check.measured), math.log1p(check.tolerance) / self._sigmas
+        error = math.log1p(check.tolerance) / self._sigmas
+        return math.log(check.measured), max(error, _LEAST_ERROR)
 
     def _check(self, one: int, other: int, ratio: float) -> RatioCheck:
         """Return the comparison of two shots: what is measured is the same at each ratio."""

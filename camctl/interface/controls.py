@@ -292,9 +292,10 @@ def resting_setting(
 ) -> ExposureSetting | None:
     """Return the setting in which a stream rests after `settings`; None: as after the last one.
 
-    After frames that take longer than the usual interval it has a time below that.
+    After frames that take longer than the usual interval, where the camera has one, it has a time
+    below that.
     """
     usual_s = controls.frame_interval_s
-    if not settings or settings[-1].time_s <= usual_s:
+    if not settings or not usual_s or settings[-1].time_s <= usual_s:
         return None
     return replace(settings[-1], time_s=controls.time_s.nearest(usual_s / 2))

@@ -63,6 +63,27 @@ def shot(sensor: str, count: int, late: int) -> CaptureReport:
         return capture(camera, request)
 
 
+@pytest.mark.parametrize("light", [(1.4, 0.7, 1.1), (0.6, 1.35, 0.9), (1.0, 0.65, 1.3)])
+def test_lamps_that_flicker_are_not_blamed_on_the_delay(light: tuple[float, ...]) -> None:
+    times_s = (0.00069, 0.00276, 0.01104)
+    assert (
+        found(times_s, [time_s * each for time_s, each in zip(times_s, light, strict=True)]) is None
+    )
+
+
+def test_frames_without_noise_are_compared_exactly() -> None:
+    """Such as those of a camera without a usual interval, which rests at its last setting."""
+    controls = replace(STREAM, delay_frames=0, frame_interval_s=0.0)
+    settings = [ExposureSetting(time_s) for time_s in (0.01, 0.04)]
+
+    def compare(one: int, other: int, expected: float) -> RatioCheck:
+        return check_of(expected, 4.0 ** (other - one)).model_copy(update={"tolerance": 0.0})
+
+    log = ShotLog(settings, controls, compare, float)
+    log.begin(range(2))
+    assert log.find() is None
+
+
 @pytest.mark.parametrize("late", [-2, -1, 1, 2, 3])
 def test_error_of_the_delay_is_found(late: int) -> None:
     times_s = (0.01, 0.02, 0.05, 0.15, 0.6, 3.0, 7.0)
