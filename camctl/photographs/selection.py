@@ -160,8 +160,9 @@ def of_one_colour(
     """
     if controls.layout is not Layout.RGB:
         return selection
-    models = {each: SensorModel(each, controls.black) for each in set(controls.plane_levels)}
-    scales = [models[each] for each in controls.plane_levels]
+    planes = controls.plane_levels
+    models = {each: SensorModel(each, controls.black) for each in set(planes)}
+    scales = [models[each] for each in planes]
     patches = [each.clip(max=controls.white) for each in selection.series.patches]
     odd, found = odd_colours(patches, scales)
     notes += [at(each, selection.positions) for each in found]
