@@ -16,11 +16,11 @@ import pytest
 from filelock import FileLock
 from gige_bench import installed
 
+from camctl.calibration.delay import measure_delay
 from camctl.drivers.genicam import GenicamCamera, GenicamOptions
 from camctl.drivers.genicam.backend import GenicamBackend
 from camctl.drivers.genicam.libraries import find_device
 from camctl.errors import CameraError
-from camctl.interface.camera import MeasuredDelay
 from camctl.interface.controls import ExposureSetting
 
 PROGRAM = "arv-fake-gv-camera-0.8"
@@ -55,14 +55,18 @@ def mean_light(camera: GenicamCamera, times_s: list[float]) -> list[float]:
 
 @pytest.mark.parametrize("library", ["aravis", "viva"])
 @pytest.mark.parametrize(
-    ("trigger", "delay"), [("software", 0), pytest.param("off", -1, marks=pytest.mark.serial)]
+    ("trigger", "delay"),
+    [
+        pytest.param("software", 0, marks=pytest.mark.slow),
+        pytest.param("off", -1, marks=pytest.mark.serial),
+    ],
 )
 def test_frames_have_their_exposures(library: str, trigger: str, delay: int) -> None:
     using = installed(library)
     options = GenicamOptions.parse({"trigger": trigger, "fps": "15", "format": "mono8"})
     with GenicamCamera(using, find_device(using, IP), options, silence_s=3.0) as camera:
         assert (camera.info.make, camera.info.model) == ("Aravis", "Fake")
-        camera.use_delay(MeasuredDelay(delay, delay))
+        assert measure_delay(camera, trials=2).frames == delay
         times_s = [0.004, 0.016, 0.008, 0.004, 0.016, 0.008]
         light = mean_light(camera, times_s)
         # The picture moves on with each frame, which its mean shows by 1 %.
