@@ -8,8 +8,9 @@ scene changed, and its light is anywhere in the range of the camera's exposures.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,10 @@ Compare = Callable[[int, int, float], RatioCheck]
 
 #: Returns the standard deviation of the logarithm of the ratio of two shots by what is no noise.
 Flicker = Callable[[int, int], float]
+
+#: Darker shots that each is compared with: after more wrong ones in a row, what is known of the
+#: shots before is not used, which loses the gain of one pair.
+_NEAR = 4
 
 #: Light is computed in single precision: no ratio is more exact, not even where there is no noise.
 _LEAST_ERROR = float(np.finfo(np.float32).eps)
@@ -113,29 +118,36 @@ class Explanations:
         shots = [(shot, each[0]) for shot, each in self._ordered(explanation) if each]
         found = 0.0
         for (one, first), (other, second) in pairwise(shots):
-            light = self._light(one, other, second.exposure / first.exposure)
-            if light is None:
+            ratio = second.exposure / first.exposure
+            light = self._light(one, other, ratio)
+            if light is not None:
+                found += self._gain(light[1])
+            elif not self._check(one, other, ratio).agrees:
                 return math.inf
-            found += self._gain(light[1])
         return found
 
     def _score(self, explanation: Explanation, flicker: Flicker | None) -> float:
         wrong = math.log(SIGNIFICANCE / len(explanation))
         # Shots, what they had, and the scores up to them without those of the wrong ones.
-        best: list[tuple[int, Had, float]] = []
+        near: deque[list[tuple[int, Had, float]]] = deque()
         skipped = 0.0  # score of the shots so far if all are wrong
+        far = most = 0.0  # highest scores of the shots before those that are near, and of all
         for shot, each in self._ordered(explanation):
             after = skipped + (wrong if each else 0.0)
             found = []
             for had in each:
                 scores = [
-                    score + self._fit(one, shot, first, had, flicker) for one, first, score in best
+                    score + self._fit(one, shot, first, had, flicker)
+                    for one, first, score in chain.from_iterable(near)
                 ]
-                score = max([0.0, *scores]) + skipped - after - math.log(len(each))
+                score = max([far, *scores]) + skipped - after - math.log(len(each))
                 found.append((shot, had, score))
-            best += found
+            most = max([most, *(score for _, _, score in found)])
+            near.append(found)
+            if len(near) > _NEAR:
+                far = max([far, *(score for _, _, score in near.popleft())])
             skipped = after
-        return skipped + max([0.0, *(score for _, _, score in best)])
+        return skipped + most
 
     def _ordered(self, explanation: Explanation) -> list[tuple[int, Sequence[Had]]]:
         """Return the shots and what they had, from the darkest on."""
