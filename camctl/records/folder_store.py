@@ -12,6 +12,7 @@ power fails, the report is never behind the frames, and `FolderStore.reopen` doe
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -275,6 +276,9 @@ class FolderStore:
         except (OSError, ValueError) as error:
             raise DataError(f"{path} cannot be read: {error}", hint=hint) from error
         except (DataError, StorageError) as error:
+            cause = error.__cause__
+            if isinstance(cause, OSError) and cause.errno == errno.EMFILE:
+                hint = "raise the limit (ulimit -n)"  # the frame is there
             raise DataError(error.what, hint=hint) from error
 
     def picture(self, kind: str) -> NDArray[Any]:
