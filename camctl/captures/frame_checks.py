@@ -51,7 +51,6 @@ class FrameChecks:
         )
         self._shots: list[FrameSample] = []  # of all sequences, in their order
         self._awaited: set[int] = set()
-        self._has_settled = False
         self._log = ShotLog(
             capture.plan.settings,
             self._controls,
@@ -115,11 +114,10 @@ class FrameChecks:
         controls = self._controls
         is_unknown = "delay_unknown" in (finding.code for finding in controls.findings)
         is_stream = controls.repeatable and self._log.has_delay
-        return is_stream and not is_unknown and not self._has_settled
+        return is_stream and not is_unknown and not self._log.has_settled
 
     def settle(self) -> None:
         """Record that the camera settles at each exposure from now on."""
-        self._has_settled = True
         self._log.settle()
 
     def _compare_shots(self, one: int, other: int, expected: float) -> RatioCheck:
@@ -129,7 +127,7 @@ class FrameChecks:
         """Write into the report what the frames say of their exposures; return those to use."""
         frames = self._frames
         checks = [frame.ratio for frame in frames]
-        error = self._log.find_old() if self._has_settled else self._log.find()
+        error = self._log.find_old() if self._log.has_settled else self._log.find()
         if error is not None and not error.is_probable:
             error = None
         estimates = None
@@ -161,7 +159,7 @@ class FrameChecks:
 
     def _delay_settled(self) -> list[Finding]:
         """Return that the control delay was wrong, where the camera has settled since."""
-        error = self._log.find() if self._has_settled else None
+        error = self._log.find() if self._log.has_settled else None
         if error is None or not error.is_probable:
             return []
         remedies = {"calibrate_delay": self._delay_of}

@@ -87,6 +87,11 @@ class ShotLog:
         self._scores = Explanations(controls, len(settings) - 1, compare, brightness)
         self._found: dict[tuple[int, int], DelayError | None] = {}
 
+    @property
+    def has_settled(self) -> bool:
+        """Whether the camera has settled in some sequences."""
+        return self._settled_from is not None
+
     def settle(self) -> None:
         """Record that the camera settles at each exposure from now on."""
         self._settled_from = len(self._sequences)
@@ -141,12 +146,12 @@ class ShotLog:
         right = self._scores.score_of_known(as_set)
         if self._scores.highest(as_set) + _UNLIKELY < right:
             return None
-        clamped = [self._scores.score(*each) for each in _clamped(asked)]
-        others = [self._scores.score(as_set)]
-        others.append(self._scores.score(as_set, flicker=self._flicker(asked)) + _UNLIKELY)
-        others += [score + _UNLIKELY - math.log(len(clamped)) for score in clamped]
-        repeated = [self._scores.score(each) for each in _repeated(as_set)]
-        others += [score + _UNLIKELY - math.log(len(repeated)) for score in repeated]
+        others = [
+            self._scores.score(as_set),
+            *_of_kind([self._scores.score(as_set, flicker=self._flicker(asked))]),
+            *_of_kind([self._scores.score(*each) for each in _clamped(asked)]),
+            *_of_kind([self._scores.score(each) for each in _repeated(as_set)]),
+        ]
         shares = {
             shift: _UNLIKELY - math.log(len(late)) + _log_mean(map(self._scores.score, each))
             for shift, each in late.items()
@@ -254,6 +259,11 @@ def _repeated(as_set: Explanation) -> list[Explanation]:
         for shot in range(1, len(as_set))
         if as_set[shot] and as_set[shot - 1]
     ]
+
+
+def _of_kind(scores: Sequence[float]) -> list[float]:
+    """Return the scores of all explanations of a kind, with their probability beforehand."""
+    return [score + _UNLIKELY - math.log(len(scores)) for score in scores]
 
 
 def _log_sum(values: Iterable[float]) -> float:
