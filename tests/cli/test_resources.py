@@ -109,7 +109,11 @@ def test_a_few_combinations_of_corners_are_bounded_or_refused() -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
 @pytest.mark.parametrize(
-    "how", ["pairs", "heavy --pairs 2", pytest.param("heavy", marks=pytest.mark.proof)]
+    "how",
+    [
+        "pairs",
+        *(pytest.param(how, marks=pytest.mark.proof) for how in ("heavy --pairs 2", "heavy")),
+    ],
 )
 def test_combinations_of_corners_are_bounded_or_refused(how: str) -> None:
     """One row of each command; more of them are for the table in docs/reference/measured.md.
