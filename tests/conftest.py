@@ -54,6 +54,12 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.freeze()
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Run first what has a time limit of its own: it takes long, and would run alone at the end."""
+    items.sort(key=lambda item: item.get_closest_marker("timeout") is None)
+
+
 @pytest.fixture
 def real_data() -> Path:
     """The folder of real data: $CAMCTL_DATA, else ../shared/data beside the project."""
