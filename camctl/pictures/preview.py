@@ -12,7 +12,8 @@ Reproduction for Digital Images, 2002) with five changes:
 - The predicted noise of each pixel is known.  Where it hides the light, the light is the mean of
   the dark pixels around.  Elsewhere it is filtered out where the picture around shows no more
   variation than it (Lee, Digital Image Enhancement and Noise Filtering by Use of Local Statistics,
-  1980).  Where noise is as large as the light, the colour is removed.
+  1980), see `camctl.pictures.preview_noise`.  Where noise is as large as the light, the colour is
+  removed.
 - The darkest light that the frames show is raised to a brightness that a display still shows.
 """
 
@@ -29,6 +30,7 @@ from numpy.typing import NDArray
 from camctl.model.response.camera import linear_to_srgb
 from camctl.pictures.colour import LUMINANCE
 from camctl.pictures.preview_light import ALL, NO_LIGHT, Floats, Light, channels_of, largest_channel
+from camctl.pictures.preview_noise import BORDER, LEAST_VARIANCE, NoiseFilter, moments
 from camctl.system.picture_operations import box_means
 from camctl.system.threads import in_threads
 
@@ -44,9 +46,6 @@ _LEAST_SHOWN, LIFTED = 0.0012, 0.01
 _SURROUND = 1 / 40
 #: Variance of log2 of the light up to which the surround is smooth: half a stop, squared.
 _EDGE = 0.25
-#: Radii of the windows in which noise is filtered out, pixels, and the share of its variance that
-#: the windows before have left.
-_NOISE_WINDOWS = ((1, 1.0), (3, 1 / 6))
 #: Radii of the windows over which light that noise hides is averaged, pixels.
 _DARK_WINDOWS = (2, 6, 18)
 #: Noise as a share of the light from which a pixel counts in averages, from which it is replaced
@@ -59,13 +58,9 @@ _UNLIT = 0.15
 #: Brightness is set by samples whose noise is less than this share of the light, of at most so
 #: many rows and columns.
 _READABLE, _MOST_READ = 0.5, 1024
-#: A logarithm to the base 2 over the natural logarithm of the same number.
-_LOG2_E = np.float32(1 / np.log(2))
 #: Rows of a band: what is made of them is small beside the picture.  Noise is filtered out of more,
 #: since those around them are, too.
 _ROWS, _CLEANED_ROWS = 64, 128
-#: Least variance of log2 of the light, less than in any picture.
-_LEAST_VARIANCE = np.float32(1e-9)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +171,8 @@ def _cleaned(light: Light) -> tuple[Floats, Floats, Floats, Floats]:
         log2 of the largest channel; the channels relative to it; noise of a pixel, relative to its
         light; share without light
     """
-    border = sum(_DARK_WINDOWS) + sum(radius for radius, _ in _NOISE_WINDOWS)
+    border = sum(_DARK_WINDOWS) + BORDER
+    noise_filter = NoiseFilter.of(light)
     shape = light.unlit.shape
     largest, noise, unlit = (np.empty(shape, np.float32) for _ in range(3))
     colours = np.empty_like(light.irradiance)
@@ -184,12 +180,12 @@ def _cleaned(light: Light) -> tuple[Floats, Floats, Floats, Floats]:
     def clean(rows: slice) -> None:
         first = max(0, rows.start - border)
         around, inner = slice(first, rows.stop + border), slice(rows.start - first, None)
-        logs, errors, dark = _averaged_in_the_dark(
-            light.irradiance[around], light.noise[around], light.unlit[around]
-        )
+        light_around = light.irradiance[around]
+        places = noise_filter.places(light_around)
+        own = noise_filter.own_noise(light.noise[around], places)
+        logs, errors, dark = _averaged_in_the_dark(light_around, own, light.unlit[around])
         np.log2(np.maximum(logs, NO_LIGHT, out=logs), out=logs)
-        for plane, error in zip(channels_of(logs), channels_of(errors), strict=True):
-            plane[...] = _without_noise(plane, error * _LOG2_E)
+        logs = noise_filter.without_noise(logs, errors, places)
         count = len(largest[rows])
         logs, errors, dark = (each[inner][:count] for each in (logs, errors, dark))
         largest[rows] = brightest = largest_channel(logs)
@@ -206,9 +202,10 @@ def _averaged_in_the_dark(
 ) -> tuple[Floats, Floats, Floats]:
     """Return irradiance, noise, and the share without light; each averaged where noise is large.
 
-    Only such pixels are averaged, so that no bright light comes into the dark beside it.
+    Only such pixels are averaged, so that no bright light comes into the dark beside it.  The noise
+    is changed in place.
     """
-    irradiance, noise = irradiance.copy(), noise.copy()
+    irradiance = irradiance.copy()
     unlit = np.asarray(without / np.float32(ALL), np.float32)
     least, low, high = map(np.float32, _HIDDEN)
     has_unlit = bool(without.any())
@@ -224,7 +221,7 @@ def _averaged_in_the_dark(
             continue
         hidden, counts = _share(doubt, low, high), _share(doubt, least, low)
         area = box_means(counts, radius)
-        np.maximum(area, _LEAST_VARIANCE, out=area)
+        np.maximum(area, LEAST_VARIANCE, out=area)
         for place in range(noise.shape[2]):
             values, errors = irradiance[..., place], noise[..., place]
             # Sums over windows are running ones, and may round to just below 0.
@@ -260,24 +257,10 @@ def _in_bands(work: Callable[[slice], None], rows: int, step: int) -> None:
         pass
 
 
-def _without_noise(logs: Floats, noise: Floats) -> Floats:
-    """Return log2 of the light with noise of this standard deviation filtered out."""
-    for radius, left in _NOISE_WINDOWS:
-        mean, variance = _moments(logs, radius)
-        kept = box_means(noise * noise, radius)
-        kept *= -np.float32(left)
-        kept /= np.maximum(variance, _LEAST_VARIANCE, out=variance)
-        kept += 1
-        logs = logs - mean
-        logs *= np.maximum(kept, 0, out=kept)
-        logs += mean
-    return logs
-
-
 def _surround(logs: Floats) -> Floats:
     """Return the guided filter of log2 of the light, with itself as the guide."""
     radius = max(2, round(max(logs.shape) * _SURROUND))
-    offset, slope = _moments(logs, radius)
+    offset, slope = moments(logs, radius)
     slope /= np.maximum(slope, 0, out=slope) + np.float32(_EDGE)
     offset -= slope * offset
     surround = box_means(slope, radius)
@@ -285,10 +268,3 @@ def _surround(logs: Floats) -> Floats:
     surround *= logs
     surround += box_means(offset, radius)
     return surround
-
-
-def _moments(values: Floats, radius: int) -> tuple[Floats, Floats]:
-    """Return mean and variance over squares; rounding may leave a variance just below 0."""
-    mean, variance = box_means(values, radius), box_means(values * values, radius)
-    variance -= mean * mean
-    return mean, variance

@@ -16,6 +16,7 @@ from bracketed_photographs import light as scene_light
 from numpy.typing import NDArray
 from picture_parts import details, light_of
 
+from camctl.pictures.colour import LUMINANCE
 from camctl.pictures.gain_map import MOST_STOPS, picture_with_gain_map
 from camctl.pictures.preview import Renditions, renditions
 
@@ -71,6 +72,19 @@ def test_libultrahdr_shows_the_light(grey: bool, metadata: str) -> None:
     wrong = errors(found.astype(float), of)
     assert np.median(wrong) < 0.03
     assert np.percentile(wrong, 90) < 0.05
+
+
+def test_the_light_is_the_radiance_where_its_stated_error_is_no_noise() -> None:
+    """Leaves, and errors of a response and of JPEG: neighbours have these in common."""
+    imagecodecs = pytest.importorskip("imagecodecs", reason="imagecodecs is missing")
+    rng = np.random.default_rng(1)
+    leaves = np.exp(rng.normal(0, 0.2, (150, 200, 1))) * np.geomspace(0.03, 1, 200)[:, np.newaxis]
+    light = leaves * (0.8, 1.0, 0.5) * np.exp(rng.normal(0, 0.01, (150, 200, 3)))
+    of = renditions(light_of(light, noise=0.08))
+    linear = imagecodecs.ULTRAHDR.CT.LINEAR
+    found = imagecodecs.ultrahdr_decode(written(of), dtype="float16", transfer=linear)[..., :3]
+    luminance = (found @ LUMINANCE) / (light @ LUMINANCE)
+    assert np.percentile(np.abs(luminance / np.median(luminance) - 1), 95) < 0.05
 
 
 _PAGE = """<!doctype html><body><pre id=o></pre><script>(async () => {
