@@ -56,6 +56,7 @@ from camctl.records.report_file import (
 )
 from camctl.records.report_json import to_json
 from camctl.system.files import make_folder, npy_parts, write_bytes
+from camctl.system.system_errors import advice
 
 _READERS: Final[dict[str, tuple[str, Callable[[Path], NDArray[Any]]]]] = {
     "sum": (SUM, read_tiff),
@@ -273,13 +274,14 @@ class FolderStore:
         try:
             self._folder.check_frames_folder()
             return read()
-        except (OSError, ValueError) as error:
-            raise DataError(f"{path} cannot be read: {error}", hint=hint) from error
-        except (DataError, StorageError) as error:
-            cause = error.__cause__
-            if isinstance(cause, OSError) and cause.errno == errno.EMFILE:
-                hint = "raise the limit (ulimit -n)"  # the frame is there
-            raise DataError(error.what, hint=hint) from error
+        except (OSError, ValueError, DataError, StorageError) as error:
+            what = f"{path} cannot be read: {error}"
+            cause: BaseException | None = error
+            if isinstance(error, DataError | StorageError):
+                what, cause = error.what, error.__cause__
+            if isinstance(cause, OSError) and cause.errno != errno.ENOENT:  # the frame is there
+                hint = advice(cause) or hint
+            raise DataError(what, hint=hint) from error
 
     def picture(self, kind: str) -> NDArray[Any]:
         name, read = _READERS[kind]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Callable
 from functools import partial
@@ -235,6 +236,27 @@ def test_frame_of_another_size_or_type_is_refused(
         complete(folder)
     assert "frame-01.npy" in str(failure.value) or "frame 1" in str(failure.value)
     assert "\n" not in str(failure.value)
+
+
+@pytest.mark.parametrize(
+    ("number", "remedy"),
+    [(errno.EACCES, "check its permissions"), (errno.EIO, "check the disk or the device")],
+)
+def test_frame_that_the_system_does_not_read_is_not_called_damaged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, remedy: str
+) -> None:
+    folder = one_of_two(tmp_path / "out")
+    opened = os.open
+
+    def refuse(path: str | Path, *rest: Any, **options: Any) -> int:
+        if str(path).endswith("frame-01.npy"):
+            raise OSError(number, os.strerror(number), str(path))
+        return opened(path, *rest, **options)
+
+    monkeypatch.setattr(os, "open", refuse)
+    with pytest.raises(DataError) as failure:
+        complete(folder)
+    assert f"{os.strerror(number)}; {remedy}; 1 of 2 frames are kept" in str(failure.value)
 
 
 @pytest.mark.parametrize("position", [0, 100, 200])
