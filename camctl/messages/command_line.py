@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from camctl.errors import CamctlError
@@ -110,6 +110,13 @@ def finding_line(finding: Finding) -> str:
     from camctl.messages.plain import sentence  # loads pydantic
 
     return with_remedies(sentence(finding), finding.remedies)
+
+
+def finding_lines(findings: Iterable[Finding]) -> list[str]:
+    """Return findings as lines, one for those that say the same of several files."""
+    from camctl.messages.plain import sentences
+
+    return [with_remedies(*each) for each in sentences(findings)]
 
 
 def error_hint(error: CamctlError) -> str:

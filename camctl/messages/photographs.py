@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from camctl.findings import Finding
@@ -101,6 +101,22 @@ def _label_wrong(finding: Finding) -> str:
     return f"{text}: {_use(finding)}; correct it (or the light was different in it)"
 
 
+def _labels_wrong(findings: Sequence[Finding]) -> str:
+    each: list[dict[str, Any]] = [finding.details for finding in findings]
+    parts = [
+        f"{of['file']} says {time_text(of['stated_s'])}, and its pixels {time_text(of['pixels_s'])}"
+        for of in each
+    ]
+    text = (
+        f"the exposures of {len(each)} photographs are wrong, beside the {each[0]['agree']} that "
+        f"agree: {'; '.join(parts)}"
+    )
+    if "left_out" not in each[0]:
+        return text
+    use = "they are left out" if each[0]["left_out"] else "what the pixels say is used"
+    return f"{text}: {use}; correct them (or the light was different in them)"
+
+
 def _labels_swapped(finding: Finding) -> str:
     details = finding.details
     return f"the exposures of {details['file']} and {details['other']} are swapped: {_use(finding)}"
@@ -113,14 +129,28 @@ def _labels_contradict(finding: Finding) -> str:
             f"the exposures of {details['files']} contradict their pixels if the response is sRGB, "
             "as is assumed: give the response, or correct them"
         )
+    return (
+        f"{_contradiction(finding)}: one of the two exposures is wrong, or the light has changed "
+        f"({_WHY_UNKNOWN[details['why']]})"
+    )
+
+
+def _contradictions(findings: Sequence[Finding]) -> str:
+    why = _WHY_UNKNOWN[str(findings[0].details["why"])]
+    return (
+        f"{'; '.join(map(_contradiction, findings))}: one of each two exposures is wrong, or the "
+        f"light has changed ({why})"
+    )
+
+
+def _contradiction(finding: Finding) -> str:
+    details: dict[str, Any] = finding.details
     exposure = details["exposure"]
     light = f"{exposure * (finding.value or 1.0):.3g} times as bright"
     much = f"{exposure:.3g} times as much"
     return (
         f"{details['file']} is {'as bright' if light.startswith('1 times') else light} as "
-        f"{details['other']}, although exposed "
-        f"{'as much' if much.startswith('1 times') else much}: one of the two exposures is wrong, "
-        f"or the light has changed ({_WHY_UNKNOWN[details['why']]})"
+        f"{details['other']}, although exposed {'as much' if much.startswith('1 times') else much}"
     )
 
 
@@ -256,3 +286,9 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
     "tags_differ": _tags_differ,
 }
 """The sentence of each code about photographs."""
+
+TOGETHER: Final[dict[str, tuple[tuple[str, ...], Callable[[Sequence[Finding]], str]]]] = {
+    "label_wrong": (("agree", "left_out", "iso"), _labels_wrong),
+    "labels_contradict": (("why",), _contradictions),
+}
+"""One sentence for several findings of a code, and the details that must then be the same."""

@@ -5,12 +5,12 @@ They name no option of a command line and no key of a panel.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final
 
 from camctl.findings import Detail, Finding
 from camctl.messages import calibration, photographs
-from camctl.system.number_text import range_text, time_text
+from camctl.system.number_text import percent_text, range_text, time_text
 
 # ---- exposures
 
@@ -48,9 +48,9 @@ def _part_contradicts(finding: Finding) -> str:
     first, second = finding.frames
     return (
         f"frames {first + 1} and {second + 1} can be compared in "
-        f"{finding.details['compared']:.2%} of the picture only, and {finding.value:.0%} of that "
-        "does not fit their exposures: something moved there or its light changed, and only that "
-        "part is wrong, or one of the frames has another exposure"
+        f"{_share(finding.details['compared'])} of the picture only, and {_share(finding.value)} "
+        "of that does not fit their exposures: something moved there or its light changed, and "
+        "only that part is wrong, or one of the frames has another exposure"
     )
 
 
@@ -98,16 +98,16 @@ def _delay_contradicts(finding: Finding) -> str:
 
 def _frame_white(finding: Finding) -> str:
     return (
-        f"{finding.value:.0%} of frame {finding.frames[0] + 1} is white, and by the metered light "
-        f"it would be {finding.details['metered']:.0%}: it had a longer exposure, or the light "
-        f"changed{_delay_helps(finding)}"
+        f"{_share(finding.value)} of frame {finding.frames[0] + 1} is white, and by the metered "
+        f"light it would be {_share(finding.details['metered'])}: it had a longer exposure, or the "
+        f"light changed{_delay_helps(finding)}"
     )
 
 
 def _frame_damaged(finding: Finding) -> str:
     return (
-        f"{finding.value:.0%} of frame {finding.frames[0] + 1} shows no scene, since samples there "
-        "do not depend on their neighbours: it was damaged on its way from the camera"
+        f"{_share(finding.value)} of frame {finding.frames[0] + 1} shows no scene, since samples "
+        "there do not depend on their neighbours: it was damaged on its way from the camera"
     )
 
 
@@ -165,7 +165,7 @@ def _light_above_range(finding: Finding) -> str:
         helps = "close the aperture, or put a filter before the lens"
         if finding.details["photographs"]:
             helps = "a photograph with a shorter exposure would show it"
-    return f"{finding.value:.1%} of the picture is brighter than its range: {helps}"
+    return f"{_share(finding.value)} of the picture is brighter than its range: {helps}"
 
 
 def _light_below_range(finding: Finding) -> str:
@@ -180,16 +180,16 @@ def _light_below_range(finding: Finding) -> str:
     elif not helps and details["photographs"]:
         helps = "photographs with longer exposures would show it"
     return (
-        f"{finding.value:.1%} of the picture is darker than its range of "
+        f"{_share(finding.value)} of the picture is darker than its range of "
         f"{range_text(dynamic_range)}: {helps or 'open the aperture, or light the scene'}"
     )
 
 
 def _light_changed(finding: Finding) -> str:
     return (
-        f"{finding.value:.1%} of the picture is brighter than its range, and in the metering "
-        f"frames {finding.details['metered']:.1%} was: the light changed, as the light of lamps "
-        "that flicker does; expose shorter"
+        f"{_share(finding.value)} of the picture is brighter than its range, and in the "
+        f"metering frames {_share(finding.details['metered'])} was: the light changed, as the "
+        "light of lamps that flicker does; expose shorter"
     )
 
 
@@ -202,7 +202,7 @@ def _light_spread(finding: Finding) -> str:
         helps = "leave out the photographs with the longest exposures"
     return (
         "light that spread from saturated samples, or a thing beside them that moved: "
-        f"{finding.value:.1%} of the picture is too bright (mask bit 4, marked in the contact "
+        f"{_share(finding.value)} of the picture is too bright (mask bit 4, marked in the contact "
         f"sheet): {helps}"
     )
 
@@ -211,13 +211,15 @@ def _moved(finding: Finding) -> str:
     place, details = finding.place, finding.details
     assert place is not None  # as where the finding was made
     where = f"columns {place.left} to {place.right - 1} and rows {place.top} to {place.bottom - 1}"
-    what = f"{finding.value:.2%} of the samples contradict other frames"
+    what = f"{_share(finding.value)} of the samples contradict other frames"
     if (single := details.get("single")) is not None:
         numbers = ", ".join(str(frame + 1) for frame in finding.frames)
         one = "frame" if len(finding.frames) == 1 else "one of the frames"
-        what = f"there, and around it, {single:.1%} of the picture is from {one} {numbers} alone"
+        what = (
+            f"there, and around it, {_share(single)} of the picture is from {one} {numbers} alone"
+        )
     return (
-        f"something moved, or its light changed, in {details['area']:.1%} of the picture, "
+        f"something moved, or its light changed, in {_share(details['area'])} of the picture, "
         f"most of it in {where}: {what} (mask bit 4, marked in the contact sheet)"
     )
 
@@ -232,9 +234,9 @@ def _noise_differs(finding: Finding) -> str:
 
 def _noise_unknown(finding: Finding) -> str:
     return (
-        f"the frames do not show the noise of {finding.value:.2%} of the samples, whose standard "
-        "deviations are not known: too few parts of the picture are even, and well exposed in two "
-        "frames"
+        f"the frames do not show the noise of {_share(finding.value)} of the samples, whose "
+        "standard deviations are not known: too few parts of the picture are even, and "
+        "well exposed in two frames"
     )
 
 
@@ -271,8 +273,13 @@ def _changes(finding: Finding) -> str:
     if (wall_s := finding.details.get("wall_s")) is not None:
         text += f" (the picture then takes {time_text(_number(wall_s))})"
     if (left := finding.details.get("left")) is not None:
-        text += f", which leaves {left:.0%} by the metered light"
+        text += f", which leaves {_share(left)} by the metered light"
     return text
+
+
+def _share(value: Detail) -> str:
+    """Return a detail that is a share, in per cent."""
+    return percent_text(_number(value))
 
 
 def _number(value: Detail) -> float:
@@ -297,7 +304,7 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
         f"{finding.details['period_s']:.4g} s"
     ),
     "highlights_cut": lambda finding: (
-        f"{finding.value:.2%} of the samples are clipped even at the shortest exposure"
+        f"{_share(finding.value)} of the samples are clipped even at the shortest exposure"
     ),
     "light_above_range": _light_above_range,
     "light_below_range": _light_below_range,
@@ -314,8 +321,8 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
         "the picture is black in every exposure; take the lens cap off, or expose longer"
     ),
     "picture_white": lambda finding: (
-        f"{finding.value:.2%} of the picture is white in every exposure; expose shorter, close the "
-        "aperture, or put a filter before the lens"
+        f"{_share(finding.value)} of the picture is white in every exposure; expose shorter, close "
+        "the aperture, or put a filter before the lens"
     ),
     "setting_differs": _setting_differs,
     "base_shortened": _base_shortened,
@@ -343,3 +350,23 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
 def sentence(finding: Finding) -> str:
     """Return the finding as one line, without a full stop at its end."""
     return SENTENCES[finding.code](finding)
+
+
+def sentences(findings: Iterable[Finding]) -> list[tuple[str, Mapping[str, Any]]]:
+    """Return sentences with their remedies: one for findings that say the same of several files."""
+    groups: dict[object, list[Finding]] = {}
+    for place, finding in enumerate(findings):
+        key: object = place
+        if finding.code in photographs.TOGETHER and "file" in finding.details:
+            same, _ = photographs.TOGETHER[finding.code]
+            alike = tuple(finding.details.get(name) for name in same)
+            key = finding.code, alike, repr(finding.remedies)
+        groups.setdefault(key, []).append(finding)
+    return [(_joint(group), group[0].remedies) for group in groups.values()]
+
+
+def _joint(findings: list[Finding]) -> str:
+    if len(findings) == 1:
+        return sentence(findings[0])
+    _, joint = photographs.TOGETHER[findings[0].code]
+    return joint(sorted(findings, key=lambda each: str(each.details.get("file"))))

@@ -22,7 +22,7 @@ from camctl.exposure.goal import CaptureRequest
 from camctl.findings import Finding, note
 from camctl.interface.camera import CameraInfo, Pixels
 from camctl.interface.controls import Layout, ResponseOrigin
-from camctl.messages.plain import sentence
+from camctl.messages.plain import sentence, sentences
 from camctl.model.noise import MeasuredNoise, NoiseModel
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.frame import FrameRecord, StoredFrame
@@ -143,7 +143,7 @@ class _CaptureData(ReportModel):
     @property
     def warnings(self) -> list[str]:
         """What to know of the pictures, one line each."""
-        return [sentence(finding) for finding in self.findings]
+        return [text for text, _ in sentences(self.findings)]
 
     @property
     def remarks(self) -> list[Finding]:

@@ -43,6 +43,10 @@ _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _TIFF_SUFFIXES = (".tif", ".tiff")
 # Of ISO 23008-12 (HEIF) and of AVIF.
 _HEIF_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1", b"avif", b"avis")
+# What containers of video begin with: of ISO 14496-12 the brands after "ftyp" (Canon's raw files
+# have "crx "), of AVI the name of a RIFF file, of Matroska and WebM that of an EBML file.
+_VIDEO_BRANDS = (b"iso", b"mp4", b"avc", b"qt", b"M4V", b"3g", b"MSNV", b"XAVC", b"dash", b"mmp4")
+_MATROSKA = b"\x1a\x45\xdf\xa3"
 _DNG_VERSION = 50706
 _MIN_IS_BLACK, _RGB = 1, 2  # TIFF 6.0, PhotometricInterpretation
 
@@ -129,9 +133,22 @@ def _read(data: bytes, name: str) -> Still:
             f"{name} is a HEIF picture (HEIC or AVIF), which is not read",
             hint="convert it to TIFF of 16 bits, for instance with darktable, or shoot JPEG or raw",
         )
+    if _is_video(data):
+        raise UsageError(
+            f"{name} is a video, and photographs are needed",
+            hint="take photographs of several exposures; frames of a video serve where the "
+            "exposure of each is known: save them as PNG files, for instance with ffmpeg, and give "
+            "their times",
+        )
     if len(data) < _LEAST_RAW_BYTES:
         raise _damaged(name, f"it has only {len(data)} bytes")
     return _read_raw(data, name)
+
+
+def _is_video(data: bytes) -> bool:
+    if data[4:8] == b"ftyp":
+        return data[8:12].startswith(_VIDEO_BRANDS)
+    return data.startswith(_MATROSKA) or (data[:4] == b"RIFF" and data[8:12] == b"AVI ")
 
 
 def _damaged(name: str, why: str) -> CameraProtocolError:

@@ -157,7 +157,7 @@ def test_light_out_of_reach_is_a_finding() -> None:
         opened._renderer = brighter._renderer
         last = results(live, 80)[-1]
     words = {finding.code: sentence(finding) for finding in last.findings}
-    assert words["light_above_range"].startswith("100.0% of the picture is brighter")
+    assert words["light_above_range"].startswith("100 % of the picture is brighter")
 
 
 def test_what_is_saturated_in_each_frame_is_marked() -> None:

@@ -20,7 +20,14 @@ from finding_examples import EXAMPLES
 from camctl.errors import CamctlError
 from camctl.findings import CODES, Finding
 from camctl.messages import menu
-from camctl.messages.command_line import COMMANDS, OPTIONS, error_hint, finding_line, with_remedies
+from camctl.messages.command_line import (
+    COMMANDS,
+    OPTIONS,
+    error_hint,
+    finding_line,
+    finding_lines,
+    with_remedies,
+)
 from camctl.messages.plain import SENTENCES, sentence
 
 SNAPSHOT = Path(__file__).with_name("words.txt")
@@ -57,6 +64,39 @@ def test_python_and_the_menu_name_no_option_and_no_command(finding: Finding) -> 
         assert not _COMMAND_LINE.search(text)
         assert "\n" not in text
         assert not text.endswith(".")
+
+
+def of_file(code: str, name: str, **details: str | float | bool) -> Finding:
+    example = EXAMPLES[code]
+    found = {**example.details, "file": name, **details}
+    return example.model_copy(update={"details": found})
+
+
+def test_findings_that_say_the_same_of_several_photographs_are_one_line() -> None:
+    wrong = [of_file("label_wrong", name, left_out=True) for name in ("c.jpg", "b.jpg", "d.jpg")]
+    other = of_file("label_wrong", "e.jpg", left_out=False)
+    apart = [of_file("labels_contradict", name, why="tie") for name in ("b.jpg", "f.jpg")]
+    unlike = EXAMPLES["highlights_cut"]
+    lines = finding_lines([wrong[0], unlike, *wrong[1:], *apart, other, unlike])
+    assert lines == [
+        "the exposures of 3 photographs are wrong, beside the 5 that agree: b.jpg says 4 s, and "
+        "its pixels 0.8 s; c.jpg says 4 s, and its pixels 0.8 s; d.jpg says 4 s, and its pixels "
+        "0.8 s: they are left out; correct them (or the light was different in them) "
+        "(--times SECONDS,...)",
+        finding_line(unlike),
+        "b.jpg is 2 times as bright as a.jpg, although exposed 4 times as much; f.jpg is 2 times "
+        "as bright as a.jpg, although exposed 4 times as much: one of each two exposures is wrong, "
+        "or the light has changed (the photographs do not show which of the two is wrong: the "
+        "picture takes their ratio from the pixels) (--times SECONDS,...)",
+        finding_line(other),
+        finding_line(unlike),
+    ]
+
+
+def test_a_small_place_that_moved_is_not_said_to_be_none() -> None:
+    small = of_file("moved", "", area=2e-5, single=3e-4)
+    assert "in < 0.01 % of the picture" in sentence(small)
+    assert "0.03 % of the picture is from" in sentence(small)
 
 
 def test_every_remedy_is_named_on_the_command_line() -> None:

@@ -266,6 +266,23 @@ def test_heif_pictures_are_refused_with_what_to_do() -> None:
     assert "TIFF" in raised.value.hint
 
 
+@pytest.mark.parametrize(
+    "begin",
+    [
+        bytes(3) + b"\x20ftypisom",
+        bytes(3) + b"\x14ftypqt  ",
+        b"RIFF" + bytes(4) + b"AVI LIST",
+        b"\x1a\x45\xdf\xa3" + bytes(8),
+    ],
+    ids=["MP4", "QuickTime", "AVI", "Matroska"],
+)
+def test_a_video_is_called_one_and_what_to_do_is_said(begin: bytes) -> None:
+    with pytest.raises(UsageError) as raised:
+        read_still(begin + bytes(100), "VID_1.mp4")
+    assert "video" in raised.value.what
+    assert "photographs of several exposures" in raised.value.hint
+
+
 def test_four_inks_are_named() -> None:
     frame = b"\xff\xc0" + struct.pack(">HBHHB", 20, 8, 16, 16, 4) + bytes(12)
     with pytest.raises(UsageError) as raised:

@@ -21,13 +21,12 @@ from camctl.cli.capture_output.summary import (
 from camctl.cli.configuration import Configuration
 from camctl.cli.output import (
     format_duration,
-    print_finding,
     print_json,
     print_text,
     print_warning,
     progress_bar,
 )
-from camctl.messages.command_line import with_remedies
+from camctl.messages.command_line import finding_lines, with_remedies
 
 if TYPE_CHECKING:
     from camctl.captures.sequence import Progress
@@ -102,8 +101,8 @@ def show_capture(
 def print_findings(report: CaptureReport) -> None:
     """Print one line of warning for each finding of a report."""
     remarks = report.remarks
-    for finding in remarks:
-        print_finding(finding)
+    for line in finding_lines(remarks):
+        print_warning(line)
     if report.untrustworthy_because is not None:
         reasons = [finding for finding in report.findings if finding not in remarks]
         remedies = {name: each for reason in reasons for name, each in reason.remedies.items()}
