@@ -8,10 +8,11 @@ have not.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple, TypeAlias
+from threading import local
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,15 +25,14 @@ from camctl.model.distribution import MAX_READ_NOISE
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import posterior_of
 from camctl.model.light import Floats32, LightTables, is_certain, light_tables
+from camctl.model.light_memory import Estimate, LightMemory
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import DesiredResponse, desired_response
 from camctl.model.sensor import CLIPPING_SIGMAS, JPEG_ERROR, SensorModel
 from camctl.model.step_posterior import FrameSet
 from camctl.pictures.chroma_light import NOTABLE, share_chroma_errors
-
-#: Samples of a block: its arrays, some 20 of 4 bytes a sample, stay in a cache of 2 MB.
-_BLOCK = 1 << 14
+from camctl.system.picture_operations import plane_by_plane
 
 #: Standard deviations that are more uncertain than by this share are not stated: their intervals
 #: of 95 % hold 92 to 97 % of the errors.
@@ -46,12 +46,6 @@ _STAND_IN_E = (CLIPPING_SIGMAS / JPEG_ERROR) ** 2
 _EVERY = 8
 
 _LETTERS = "RGB"
-
-Estimate: TypeAlias = Callable[
-    [list[NDArray[Any]], NDArray[np.unsignedinteger]], tuple[Floats32, Floats32]
-]
-"""From samples of each frame up to white, (S,), and their sum: irradiance at exposure 1, and its
-standard deviation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +138,7 @@ class FrameLight:
     white: int
     unit: float
     chroma: tuple[LightTables, ...] = ()
+    _kept: local = field(default_factory=local, init=False, repr=False)
 
     def rows(
         self, frames: Sequence[NDArray[Any]], total: NDArray[np.unsignedinteger]
@@ -157,22 +152,31 @@ class FrameLight:
             frames: the same rows of each frame, from an even one on, black included
             total: sum of the frames, clipped at white
         """
-        irradiance = np.empty(total.shape, np.float32)
-        deviation = np.empty_like(irradiance)
-        for part, estimator in self.parts:
-            views = [part.view(each) for each in (*frames, total, irradiance, deviation)]
-            # Where colours have notable errors, the light is replaced, and refined elsewhere.
-            estimate = estimator.mean if self.chroma and estimator.mean else estimator.estimate
-            for rows in _blocks(views[0].shape):
-                *values, sums, light, error = (each[rows] for each in views)
-                clipped = [np.ravel(each) for each in self._clipped(values)]
-                found = estimate(clipped, np.ravel(sums))
-                light[...], error[...] = (each.reshape(light.shape) for each in found)
+        irradiance, deviation = (
+            plane_by_plane(np.empty(total.shape, np.float32)) for _ in range(2)
+        )
+        clipped = [plane_by_plane(each) for each in self._clipped(frames)]
+        for (part, _), memory in zip(self.parts, self._memories(), strict=True):
+            *values, sums = (np.ravel(part.view(each)) for each in (*clipped, total))
+            for whole, found in zip((irradiance, deviation), memory.of(values, sums), strict=True):
+                view = part.view(whole)
+                view[...] = found.reshape(view.shape)
         if self.chroma:
-            share_chroma_errors(self._clipped(frames), self.chroma, irradiance, deviation)
+            share_chroma_errors(clipped, self.chroma, irradiance, deviation)
         irradiance *= np.float32(1 / self.unit)
         deviation *= np.float32(1 / self.unit)
         return irradiance, deviation
+
+    def _memories(self) -> list[LightMemory]:
+        """Return what estimates the light of each part in this thread."""
+        if not hasattr(self._kept, "memories"):
+            self._kept.memories = [
+                # Where colours have notable errors, the light is replaced, and refined elsewhere.
+                LightMemory(each.mean if self.chroma and each.mean else each.estimate)
+                for _, each in self.parts
+            ]
+        memories: list[LightMemory] = self._kept.memories
+        return memories
 
     def _clipped(self, frames: Sequence[NDArray[Any]]) -> Sequence[NDArray[Any]]:
         """Return frames clipped at white, or as they are where no sample can be above it."""
@@ -212,12 +216,6 @@ class FrameLight:
             gains.append(estimator.gain[np.minimum(places, estimator.gain.size - 1)])
         ratios = np.concatenate(gains)
         return Quality(float(np.median(ratios)) if ratios.size else None, unknown / max(1, count))
-
-
-def _blocks(shape: tuple[int, ...]) -> Iterator[slice]:
-    rows = max(1, _BLOCK // math.prod(shape[1:]))
-    for first in range(0, shape[0], rows):
-        yield slice(first, first + rows)
 
 
 def frame_light(

@@ -134,9 +134,21 @@ def channels_apart(picture: NDArray[Any]) -> tuple[NDArray[Any], ...]:
     """Return the channels of (rows, columns, channels), (rows, columns) each, or a plane itself."""
     if picture.ndim == 2:
         return (picture,)
-    if (cv2 := opencv()) is not None:
+    planes = np.moveaxis(picture, 2, 0)
+    if not planes.flags.c_contiguous and (cv2 := opencv()) is not None:
         return tuple(each.view(picture.dtype) for each in cv2.split(_as_integers(picture)))
-    return tuple(np.ascontiguousarray(np.moveaxis(picture, 2, 0)))
+    return tuple(np.ascontiguousarray(planes))
+
+
+def plane_by_plane(picture: NDArray[Any]) -> NDArray[Any]:
+    """Return (rows, columns[, channels]) of which each channel is contiguous."""
+    if picture.ndim == 2:
+        return picture
+    if (cv2 := opencv()) is None:
+        return np.moveaxis(np.ascontiguousarray(np.moveaxis(picture, 2, 0)), 0, 2)
+    planes = np.empty((picture.shape[2], *picture.shape[:2]), picture.dtype)
+    cv2.split(_as_integers(picture), tuple(_as_integers(planes)))
+    return np.moveaxis(planes, 0, 2)
 
 
 def channels_together(planes: Sequence[NDArray[Any]]) -> NDArray[Any]:
@@ -146,6 +158,14 @@ def channels_together(planes: Sequence[NDArray[Any]]) -> NDArray[Any]:
     if (cv2 := opencv()) is not None:
         return np.asarray(cv2.merge([_as_integers(each) for each in planes])).view(planes[0].dtype)
     return np.stack(planes, axis=-1)
+
+
+def interleave(one: NDArray[Any], other: NDArray[Any], out: NDArray[Any]) -> None:
+    """Write pairs of values, (S,) each, into (S, 2); all of one type of `_as_integers`."""
+    if (cv2 := opencv()) is not None:
+        cv2.merge((one[np.newaxis], other[np.newaxis]), out[np.newaxis])
+    else:
+        out[:, 0], out[:, 1] = one, other
 
 
 def _as_integers(values: NDArray[Any]) -> NDArray[Any]:
