@@ -125,10 +125,7 @@ def _labels_swapped(finding: Finding) -> str:
 def _labels_contradict(finding: Finding) -> str:
     details: dict[str, Any] = finding.details
     if "why" not in details:
-        return (
-            f"the exposures of {details['files']} contradict their pixels if the response is sRGB, "
-            "as is assumed: give the response, or correct them"
-        )
+        return _contradictions([finding])
     return (
         f"{_contradiction(finding)}: one of the two exposures is wrong, or the light has changed "
         f"({_WHY_UNKNOWN[details['why']]})"
@@ -136,6 +133,12 @@ def _labels_contradict(finding: Finding) -> str:
 
 
 def _contradictions(findings: Sequence[Finding]) -> str:
+    if "why" not in findings[0].details:
+        files = ", ".join(str(finding.details["files"]) for finding in findings)
+        return (
+            f"the exposures of {files} contradict their pixels if the response is sRGB, as is "
+            "assumed: give the response, or correct them"
+        )
     why = _WHY_UNKNOWN[str(findings[0].details["why"])]
     return (
         f"{'; '.join(map(_contradiction, findings))}: one of each two exposures is wrong, or the "

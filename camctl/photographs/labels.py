@@ -23,7 +23,14 @@ from camctl.findings import Detail, Finding
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import SensorModel
 from camctl.photographs.camera import Photograph, at, detailed
-from camctl.photographs.ratios import MOST_CORRECTED, STEADY, exposure_runs, steady_errors
+from camctl.photographs.ratios import (
+    MOST_CORRECTED,
+    OFFSET,
+    SIGMAS,
+    STEADY,
+    exposure_runs,
+    steady_errors,
+)
 
 #: Factor by which a label is wrong if exposures are not corrected from the pixels, and the response
 #: is not estimated.
@@ -57,19 +64,30 @@ class LabelErrors:
     facts: list[Finding] = field(default_factory=list)
 
 
-def check_reversed(photographs: Sequence[Photograph], patches: Sequence[Patches]) -> None:
+def check_reversed(
+    photographs: Sequence[Photograph], patches: Sequence[Patches], full: int
+) -> None:
     """Check that exposures and brightness are not in opposite orders: then no label is right.
+
+    Neighbours count whose brightness differs by more than the offsets of their files may.
+
+    Args:
+        photographs: with the exposures that they state
+        patches: samples of each
+        full: brightness of saturation, levels
 
     Raises:
         DataError: they are
     """
-    means = [float(each.mean()) for each in patches]
+    means = [float(each.mean()) * 255 / full for each in patches]
     by_label = sorted(range(len(photographs)), key=lambda k: photographs[k].exposure)
-    if len(by_label) > 2 and all(means[a] > means[b] for a, b in pairwise(by_label)):
+    steps = [means[longer] - means[shorter] for shorter, longer in pairwise(by_label)]
+    clear = [step for step in steps if abs(step) > SIGMAS * math.sqrt(2) * OFFSET]
+    if len(clear) > 1 and max(clear) < 0:
         raise DataError(
             "the exposures of the photographs are in the reverse order: the longer they are, the "
             "darker is the picture",
-            hint="correct the exposure times, one for each file",
+            hint="give the exposure times in seconds (1/30, and not 30), one for each file",
             remedies={"times": None},
         )
 

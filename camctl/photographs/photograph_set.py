@@ -162,7 +162,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     if source.labels == "pixels":
         selection = _with_rough_exposures(selection)
     else:
-        check_reversed(selection.photographs, series.patches)
+        check_reversed(selection.photographs, series.patches, series.white)
         for k, factor in doubted_labels(series).items():  # it must not bend the response
             series.exposures[k] *= factor
     series.find_limits()

@@ -29,7 +29,7 @@ from camctl.photographs.camera import Photograph
 #: Standard deviations of the offset of a photograph and of the errors that patches of one
 #: brightness share beside it, levels of 255: JPEG files whose exposures are halved from one to the
 #: next differ by -4 to +2 levels (taipei).  Of another error, relative, lest one cell decides.
-_OFFSET, _OWN, _SCATTER = 2.0, 1.0, 0.02
+OFFSET, _OWN, _SCATTER = 2.0, 1.0, 0.02
 #: Brightness, share of full scale, from which on colours are compared: below, JPEG files of low
 #: quality change a colour by 3 to 4 levels (taipei, street2), a tenth of it.
 _DIM = 1 / 8
@@ -38,7 +38,7 @@ _DIM = 1 / 8
 _LEAST_SHOWN = 0.2
 #: Width of a cell of brightness, stops; fewest patches; standard deviations of the largest error,
 #: which one of 2,000 comparisons exceeds.
-_CELL, _LEAST, _SIGMAS = 0.5, 12, 3.5
+_CELL, _LEAST, SIGMAS = 0.5, 12, 3.5
 #: Patches agree within this logarithm of a ratio and their error; of those compared so many do.
 _ALIKE, _MAJORITY = 0.15, 0.6
 #: Exposures are corrected by up to this factor, and a correction above the second number is named.
@@ -110,7 +110,7 @@ def pair_ratio(
     means, g = (np.array([float(np.median(each[of])) for of in cells]) for each in (logs, slopes))
     rows = np.stack([np.ones(g.size), g], axis=1)
     weights = 1 / (np.square(_OWN * g) + _SCATTER**2)
-    prior = np.diag([0.0, _OFFSET**-2.0])
+    prior = np.diag([0.0, OFFSET**-2.0])
     covariance = np.linalg.inv((rows.T * weights) @ rows + prior)
     found = covariance @ (rows.T @ (weights * means))
     residual = float(weights @ np.square(means - rows @ found))
@@ -118,9 +118,9 @@ def pair_ratio(
     # sky of one colour has the same error in all of them.
     shown = max(_LEAST_SHOWN, (1 + residual) / g.size)
     covariance = np.linalg.inv((rows.T * weights / shown) @ rows + prior)
-    log, error = float(found[0]), _SIGMAS * math.sqrt(float(covariance[0, 0]))
-    is_one = np.mean(np.abs(logs - log) < _ALIKE + 2 * _OFFSET * slopes) >= _MAJORITY
-    return PairRatio(log, error, _SIGMAS * median(of_curve)) if is_one else None
+    log, error = float(found[0]), SIGMAS * math.sqrt(float(covariance[0, 0]))
+    is_one = np.mean(np.abs(logs - log) < _ALIKE + 2 * OFFSET * slopes) >= _MAJORITY
+    return PairRatio(log, error, SIGMAS * median(of_curve)) if is_one else None
 
 
 @dataclass(frozen=True)

@@ -93,6 +93,15 @@ def test_findings_that_say_the_same_of_several_photographs_are_one_line() -> Non
     ]
 
 
+def test_runs_of_photographs_that_contradict_an_assumed_response_are_one_line() -> None:
+    runs = [
+        Finding(code="labels_contradict", details={"file": files[0], "files": files})
+        for files in ("a.jpg, b.jpg", "c.jpg, d.jpg")
+    ]
+    (line,) = finding_lines(runs)
+    assert line.startswith("the exposures of a.jpg, b.jpg, c.jpg, d.jpg contradict their pixels")
+
+
 def test_a_small_place_that_moved_is_not_said_to_be_none() -> None:
     small = of_file("moved", "", area=2e-5, single=3e-4)
     assert "in < 0.01 % of the picture" in sentence(small)

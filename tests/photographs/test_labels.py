@@ -72,7 +72,15 @@ def test_an_iso_speed_that_explains_a_wrong_exposure_is_named() -> None:
 def test_exposures_in_reverse_order_are_refused() -> None:
     stated = [Photograph(f"p{k}", label) for k, label in enumerate(TRUE_S[::-1])]
     with pytest.raises(DataError, match="in the reverse order"):
-        check_reversed(stated, PATCHES)
+        check_reversed(stated, PATCHES, 255)
+
+
+def test_photographs_that_are_all_dark_do_not_hide_the_reverse_order() -> None:
+    dark = [np.full_like(PATCHES[0], level) for level in (0, 1)]  # by their offsets alone
+    stated = [Photograph(f"p{k}", 2.0**-k) for k in range(7)]
+    with pytest.raises(DataError, match="in the reverse order"):
+        check_reversed(stated, [*dark, *PATCHES], 255)
+    check_reversed(stated, [*PATCHES[::-1], *dark], 255)
 
 
 def test_steps_between_labels_are_right_where_most_of_the_labels_are_not() -> None:
