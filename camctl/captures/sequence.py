@@ -35,6 +35,7 @@ from camctl.records.report import CaptureReport, UnfinishedCapture
 from camctl.records.report_file import clean_details
 from camctl.system.interrupts import uninterrupted
 from camctl.system.memory import return_free_memory, share_free_memory
+from camctl.system.picture_operations import count_from
 from camctl.system.system_errors import resource_error
 from camctl.system.threads import Threads
 
@@ -222,7 +223,7 @@ class Sequence:
                 f"within the capture",
                 hint="keep gain and format fixed, and shoot again",
             )
-        saturated = float(np.count_nonzero(frame.pixels >= frame.white))
+        saturated = count_from(frame.pixels, frame.white)
         self._capture.frames[position] = StoredFrame(
             **vars(files),
             requested=frame.requested,

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from camctl.interface.controls import Layout
 from camctl.model.response.desired import DesiredResponse
 from camctl.pictures.render import DARK, GOOD, SATURATED, Tables
+from camctl.system.picture_operations import level_counts
 
 BINS = 40
 """Bins of the histogram: a line of a terminal holds them beside two numbers."""
 
-#: Samples that are counted at a time.
-_COUNTED = 1 << 20
 #: Range of the histogram where the picture's is infinite.
 _WIDEST = 2.0**20
 
@@ -58,7 +57,7 @@ def light_shares(
     lowest = max(desired.e_min, 1 / _WIDEST)
     saturated, dark, histogram = 0.0, 0.0, np.zeros(BINS)
     for plane, table in zip(planes, tables, strict=True):
-        shares = _counts(plane, table.mask.size) / total.size
+        shares = level_counts(plane, table.mask.size) / total.size
         saturated += float(shares[table.mask == SATURATED].sum())
         dark += float(shares[table.mask == DARK].sum())
         inside = table.mask == GOOD
@@ -66,12 +65,3 @@ def light_shares(
         bins = np.minimum((position * BINS).astype(np.intp), BINS - 1)
         histogram += np.bincount(bins, weights=shares[inside], minlength=BINS)
     return LightShares(saturated, dark, tuple(histogram.tolist()))
-
-
-def _counts(plane: NDArray[np.unsignedinteger], values: int) -> NDArray[np.int64]:
-    """Return how often each value below `values` occurs, some rows at a time."""
-    counts = np.zeros(values, np.int64)
-    rows = max(1, _COUNTED // (plane.size // plane.shape[0]))
-    for start in range(0, plane.shape[0], rows):
-        counts += np.bincount(plane[start : start + rows].ravel(), minlength=values)
-    return counts

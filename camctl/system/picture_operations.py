@@ -33,6 +33,11 @@ _LARGEST_PNG = 1 << 25
 #: Columns of `connected_parts`.
 LEFT, TOP, WIDTH, HEIGHT, AREA = range(5)
 
+#: Marks of samples that stay in a cache.
+_MARKED = 1 << 16
+#: Samples that are counted at once: less memory is needed, and float32 has each number up to 2^24.
+_COUNTED = 1 << 20
+
 Kernel = NDArray[np.float32]
 
 
@@ -226,6 +231,33 @@ def _linear_weights(length: int, count: int) -> Kernel:
     places = np.clip((np.arange(count) + 0.5) * (length / count) - 0.5, 0, length - 1)
     distances = np.abs(places[:, None] - np.arange(length))
     return np.asarray(np.maximum(1 - distances, 0), np.float32)
+
+
+def level_counts(samples: NDArray[np.unsignedinteger], levels: int) -> NDArray[np.int64]:
+    """Return how often each value below `levels` occurs in (rows, columns[, channels])."""
+    counts = np.zeros(levels, np.int64)
+    cv2 = opencv() if samples.itemsize <= 2 else None
+    rows = max(1, _COUNTED // (samples.size // len(samples)))
+    for start in range(0, len(samples), rows):
+        part = samples[start : start + rows]
+        if cv2 is None:
+            counts += np.bincount(part.ravel(), minlength=levels)
+        else:  # in float32, which has the number of samples of a part exactly
+            found = cv2.calcHist([part.reshape(len(part), -1)], [0], None, [levels], [0, levels])
+            counts += found.ravel().astype(np.int64)
+    return counts
+
+
+def count_from(samples: NDArray[Any], least: int) -> int:
+    """Return how many samples of (rows, columns[, channels]) are at least `least`.
+
+    Some rows at a time, whose marks stay in a cache: a fifth of the time.
+    """
+    rows = max(1, _MARKED // (samples.size // len(samples)))
+    return sum(
+        int(np.count_nonzero(samples[start : start + rows] >= least))
+        for start in range(0, len(samples), rows)
+    )
 
 
 def box_means(values: NDArray[Any], radius: int) -> Kernel:

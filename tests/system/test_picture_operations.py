@@ -156,3 +156,17 @@ def test_channels_apart_and_together(shape: tuple[int, ...], kind: Any) -> None:
     for again in both(lambda: operations.channels_together(operations.channels_apart(picture))):
         assert again.dtype == picture.dtype
         assert np.array_equal(again, picture.reshape(again.shape))
+
+
+@given(SHAPES, st.sampled_from([np.uint8, np.uint16, np.uint32]), st.integers(1, 3))
+def test_counts_of_levels(shape: tuple[int, ...], kind: Any, step: int) -> None:
+    """Of contiguous pictures and of views, as the planes of a mosaic."""
+    levels = 1000 if kind is not np.uint8 else 256
+    picture = np.random.default_rng(0).integers(0, levels, shape).astype(kind)[::step, ::step]
+    for counts in both(lambda: operations.level_counts(picture, levels)):
+        assert counts.tolist() == np.bincount(picture.ravel(), minlength=levels).tolist()
+
+
+def test_counts_of_levels_are_exact_where_float32_is_not() -> None:
+    picture = np.zeros((4097, 4097), np.uint8)  # 2^24 + 8193
+    assert operations.level_counts(picture, 256)[0] == picture.size

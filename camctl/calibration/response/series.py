@@ -21,11 +21,10 @@ from camctl.findings import Finding
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray, linear_response
 from camctl.model.sensor import SensorModel
+from camctl.system.picture_operations import level_counts
 
 #: Levels at which a response is estimated, evenly spread, and of how many first ones at all.
 _LEVELS, _FIRST_LEVELS = 4096, 256
-#: Rows of a histogram that are counted at once, so that little memory is needed.
-_PIXELS_AT_ONCE = 1 << 20
 #: A level has this share of the pixels of a frame, and this many times the mean of the levels
 #: below it, where the frame is clipped there.
 _CLIPPED_SHARE, _CLIPPED_EXCESS, _LEVELS_BELOW = 2e-3, 8.0, 16
@@ -123,10 +122,7 @@ class Series:
         counts = {channel: np.zeros(2**self.bits, np.int64) for channel in self.channels}
         planes = self.layout.planes(pixels)
         for letter, plane in zip(self.colours(), planes, strict=True):
-            step = max(1, _PIXELS_AT_ONCE // plane.shape[1])
-            for row in range(0, plane.shape[0], step):
-                part = plane[row : row + step].ravel()
-                counts[letter] += np.bincount(part, minlength=2**self.bits)
+            counts[letter] += level_counts(plane, 2**self.bits)
         self._counts.append(counts)
         self._grids.append(SampleGrid.of(pixels, self.layout))
         self.patches.append(sample_patches(planes, 2**self.bits - 1))
