@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from statistics import NormalDist
 
 import numpy as np
+from numpy.typing import NDArray
 
 from camctl.captures.metering import meter_light
 from camctl.captures.plan import plan_capture
+from camctl.evidence.noise import fit_noise
 from camctl.evidence.patches import Patches
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.search.best import longest_base_s
@@ -24,6 +27,8 @@ from camctl.records.capture_plan import CapturePlan
 
 #: Share of the light of a scene that is below its range: the deepest dark.
 _SHADOWS = 0.005
+#: Median of a half of a normal distribution, in standard deviations.
+_HALF_NORMAL = NormalDist().inv_cdf(0.75)
 #: Dynamic ranges that a picture gets without being asked for.
 _LEAST_RANGE, _MOST_RANGE = 16.0, 1e7
 
@@ -31,7 +36,8 @@ _LEAST_RANGE, _MOST_RANGE = 16.0, 1e7
 def darkest_light(camera: PhotographCamera, patches: Sequence[Patches]) -> float:
     """Return the darkest light in photographs but for the deepest dark, E = 1 at full scale in 1 s.
 
-    Each sample counts by the longest exposure in which it is not saturated.
+    Each sample counts by the longest exposure in which it is not saturated, as no darker than noise
+    and quantiser let it show.
 
     Args:
         camera: of the photographs
@@ -42,15 +48,29 @@ def darkest_light(camera: PhotographCamera, patches: Sequence[Patches]) -> float
     found = []
     for plane, scale in enumerate(scales):
         parts = [np.array_split(each, len(scales))[plane] for each in patches]
+        real, exposures = controls.plane_levels[plane], [each / min(times) for each in times]
+        fit = fit_noise(real, parts, exposures, [1.0] * len(times), controls.black)
+        read = 0.0 if fit is None else math.sqrt(fit.noise[1])
         light = np.full(parts[0].size, np.nan)
         for position in np.argsort(times)[::-1].tolist():
             brightness = np.minimum(parts[position], scale.white).ravel()
             seen = scale.light[brightness]
             use = np.isnan(light) & (brightness <= scale.highest(None))
-            light[use] = np.maximum(seen[use], scale.level / 2) / times[position]
+            least = max(scale.level * max(0.5, read), _noise_below_black(seen))
+            light[use] = np.maximum(seen[use], least) / times[position]
         light[np.isnan(light)] = scale.full / min(times)
         found.append(light / scale.full)
     return float(np.quantile(np.concatenate(found), _SHADOWS))
+
+
+def _noise_below_black(light: NDArray[np.float64]) -> float:
+    """Return the noise of dark samples as those that it made darker than black show it; 0: none do.
+
+    Light makes them brighter: the median of a half of a normal distribution is 0.67 of its
+    standard deviation.  Fewer than the deepest dark change nothing, and may be faults of pixels.
+    """
+    below = -light[light < 0]
+    return float(np.median(below)) / _HALF_NORMAL if below.size > _SHADOWS * light.size else 0.0
 
 
 def plan_photographs(
