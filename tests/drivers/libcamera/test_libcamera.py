@@ -36,6 +36,7 @@ needs_picamera2 = pytest.mark.skipif(
 )
 # picamera2 uses an old name of threading, and closes what it could not open.
 pytestmark = [
+    pytest.mark.serial,
     pytest.mark.filterwarnings("ignore:.*setDaemon:DeprecationWarning"),
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
 ]
