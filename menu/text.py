@@ -7,15 +7,23 @@ import unicodedata
 
 _TIME_UNITS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"))
 
+#: Relative difference of two numbers that have seven digits in common.
+_SEVEN_DIGITS = 5e-8
+
 
 def format_exact_time(time_s: float) -> str:
-    """Return a time with seven digits, the accuracy of a camera's settings.
+    """Return a time with seven digits, the accuracy of a camera's settings, or as a fraction.
 
-    >>> format_exact_time(0.29166531)
-    '291.6653 ms'
+    The fraction is 1 over a whole number, where it is that time and the shorter text.
+
+    >>> format_exact_time(0.29166531), format_exact_time(1 / 13), format_exact_time(0.004)
+    ('291.6653 ms', '1/13 s', '4 ms')
     """
     factor, unit = _unit(time_s)
-    return f"{_digits(time_s / factor, 7)} {unit}"
+    text = f"{_digits(time_s / factor, 7)} {unit}"
+    whole = round(1 / time_s) if time_s < 1 else 1
+    is_exact = abs(whole * time_s - 1) < _SEVEN_DIGITS
+    return min(text, f"1/{whole} s", key=len) if is_exact and whole > 1 else text
 
 
 def format_short_time(time_s: float) -> str:
