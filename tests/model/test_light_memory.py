@@ -42,12 +42,14 @@ def test_known_light_is_what_was_estimated(count: int, dtype: type) -> None:
     memory = LightMemory(estimate)
     for seed in range(3):
         values = _samples(count, dtype, 40_000, 20, seed)
+        for each in values:
+            each[:50] = 0  # black in all frames
         total = np.asarray(np.sum(values, axis=0, dtype=np.uint32))
         found = memory.of(values, total)
         for known, expected in zip(found, _Estimate()(values, total), strict=True):
             np.testing.assert_array_equal(known, expected)
     if count < 8:
-        assert estimate.asked < 40_000  # of 120,000
+        assert estimate.asked < 60_000  # of 120,000: those of the first picture, and new ones
 
 
 def test_combinations_that_are_all_new_are_not_kept_for_ever() -> None:
