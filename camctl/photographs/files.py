@@ -121,6 +121,12 @@ class PhotographFiles:
             self._keep(position, pixels)
         return self._kept[position]
 
+    def taken(self, position: int) -> Pixels:
+        """Return the pixels of a file for a capture, which keeps them itself."""
+        pixels = self.pixels(position)
+        self._kept.pop(position, None)
+        return pixels
+
     def move(self, moves: Mapping[int, Move]) -> None:
         """Move the pixels of some files from now on."""
         self._moves = dict(moves)

@@ -181,7 +181,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     controls = replace(controls, colour=colour)
     camera = PhotographCamera(
         photographs,
-        lambda k: area.shown(files.pixels(positions[k]), controls.black),
+        lambda k: area.shown(files.taken(positions[k]), controls.black),
         controls,
         files.taken_by,
         metered=lambda k: area.seen(files.pixels(positions[k])),
