@@ -18,6 +18,7 @@ from camctl.pictures.contact_sheet import contact_sheet
 from camctl.pictures.details import PictureDetails
 from camctl.pictures.dng import dng_tags, has_raw
 from camctl.pictures.gain_map import picture_with_gain_map
+from camctl.pictures.hdr_avif import avif_library, picture_in_pq
 from camctl.pictures.icc import icc_profile
 from camctl.pictures.metadata import (
     EXR_PLACEHOLDER,
@@ -44,13 +45,14 @@ _LARGE = 4_000_000
 
 SUM, IMAGE, RADIANCE = "sum.tiff", "image.tiff", "radiance.exr"
 DNG = "picture.dng"
-PREVIEW, PICTURE, CONTACT = "preview.png", "picture.jpg", "contact.png"
+PREVIEW, PICTURE, AVIF, CONTACT = "preview.png", "picture.jpg", "picture.avif", "contact.png"
 PICTURE_FILES = {
     "sum": SUM,
     "image": IMAGE,
     "radiance": RADIANCE,
     "preview": PREVIEW,
     "picture": PICTURE,
+    "avif": AVIF,
     "contact": CONTACT,
     "raw": DNG,
 }
@@ -71,6 +73,8 @@ _SHOOT_AGAIN = "shoot the capture again"
 def picture_files(rendering: Rendering) -> dict[str, str]:
     """Return the names of the files that `write_picture_files` writes, by kind."""
     without = set() if opencv() is not None else {"picture"}
+    if avif_library() is None:
+        without.add("avif")
     if not has_raw(rendering):
         without.add("raw")
     return {kind: name for kind, name in PICTURE_FILES.items() if kind not in without}
@@ -111,6 +115,8 @@ def write_picture_files(
         mapped = threads.submit(renditions, light)  # while the disk takes the files
     if raw is not None:
         _write_raw(directory / DNG, raw, rendering, details)
+    if (imagecodecs := avif_library()) is not None:
+        write_bytes(directory / AVIF, picture_in_pq(mapped.result().light, imagecodecs))
     preview, cv2 = mapped.result().codes, opencv()
     if cv2 is not None:
         write_bytes(directory / PICTURE, picture_with_gain_map(mapped.result(), details, cv2))
@@ -237,6 +243,7 @@ def load_libraries() -> None:
         UsageError: one of them is not installed
     """
     opencv()
+    avif_library()
     for module in _LIBRARIES:
         try:
             import_module(module)

@@ -6,6 +6,7 @@ import json
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,8 @@ RESULTS = {
     "picture.jpg",
     "contact.png",
 }
+if find_spec("imagecodecs"):
+    RESULTS.add("picture.avif")
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Generator, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,8 @@ RESULT = {
     "report.json",
     "frames",
 }
+if find_spec("imagecodecs"):
+    RESULT.add("picture.avif")
 LOCK = ".camctl.lock"
 
 
