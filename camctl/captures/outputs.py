@@ -31,8 +31,8 @@ from camctl.model.noise import FrameNoise, MeasuredNoise
 from camctl.model.response.desired import DesiredResponse
 from camctl.pictures.details import PictureDetails, ShownFrame
 from camctl.pictures.frame_light import FrameLight, Quality, frame_light, parts_of
-from camctl.pictures.ghost_choice import find_ghosts
-from camctl.pictures.ghosts import Ghosts
+from camctl.pictures.ghosts.choice import find_ghosts
+from camctl.pictures.ghosts.replacement import Ghosts
 from camctl.pictures.light_shares import LightShares, light_shares
 from camctl.pictures.render import Rendering, Tables
 from camctl.records.frame import ExposureRatio, FrameRecord, StoredFrame

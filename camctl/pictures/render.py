@@ -26,7 +26,7 @@ from camctl.model.sensor import SensorModel
 from camctl.pictures.colour import deviation_in_bt709, in_gamut, to_bt709
 from camctl.pictures.development import Development
 from camctl.pictures.frame_light import FrameLight
-from camctl.pictures.ghosts import Ghosts
+from camctl.pictures.ghosts.replacement import Ghosts
 from camctl.system.picture_operations import channels_apart, channels_together, correlated, dilated
 
 #: Values of a mask: within the range, light below the range, saturated in every frame.

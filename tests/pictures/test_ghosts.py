@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 import camctl
-from camctl.pictures.ghost_labels import LabelField, least_error_labels
+from camctl.pictures.ghosts.labels import LabelField, least_error_labels
 from camctl.pictures.render import CONTRADICTING
 from camctl.records.report import CaptureReport
 

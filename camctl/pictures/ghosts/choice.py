@@ -1,7 +1,7 @@
 """Which frame shows each place where things moved.
 
 The map of movement is in cells (`camctl.evidence.movement`).  Connected cells, what they enclose
-and the cells around them are a region, whose cells get labels (`camctl.pictures.ghost_labels`).
+and the cells around them are a region, whose cells get labels (`camctl.pictures.ghosts.labels`).
 
 All frames together have an error by what moved: m, the mean square of the largest difference of a
 frame from them beyond its noise.  A frame of the variance v has the weight m / (m + v), which has
@@ -23,8 +23,8 @@ from camctl.evidence.patches import Patches
 from camctl.interface.camera import Pixels
 from camctl.model.light import Floats32
 from camctl.pictures.frame_light import FrameLight
-from camctl.pictures.ghost_labels import LabelField, Mask, least_error_labels
-from camctl.pictures.ghosts import COMPARED, Ghosts
+from camctl.pictures.ghosts.labels import LabelField, Mask, least_error_labels
+from camctl.pictures.ghosts.replacement import COMPARED, Ghosts
 from camctl.pictures.single_light import SingleLight, least_light, single_lights
 from camctl.system.picture_operations import connected_parts, dilated
 
