@@ -4,13 +4,13 @@ Of a cell of 2 x 2 pixels JPEG (4:2:0, and 4:2:2 in one direction) keeps the bri
 pixel, and one Cb and one Cr, the differences of blue and of red from it (ITU-T T.871).  What these
 differ by within a cell is lost, and all frames of a scene lose about the same of it: it neither
 shows in the differences of frames, nor does it average out.  How much that is, is seen in what is
-kept: a cell loses as much of Cb as it would have lost of Y, times the contrast of Cb over that of Y
-in the cells around it.
+kept: within a cell, Cb changes with Y as it does from cell to cell around it; and where it changes
+there without Y, the more of it changes within cells the more of Y does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -30,11 +30,9 @@ ROUNDING = np.sqrt((1 + _VARIANCES.sum(axis=0)) / 12)
 """Standard deviation of red, green and blue, levels, by whole numbers of Y, Cb and Cr: the least
 error of a JPEG file."""
 
-#: Real loss over the one that the cells show: so large that as many errors of four colour sets are
-#: within one and two `sd` as should be (`tests/bench/bench_light_rivals.py`).
-_LOSS = 4.0
-#: Share of the variance of cells around that an error has at most: 2 of an edge within a cell.
-_MOST_LOST = 2.0
+#: Real loss over the one that the cells show, of what follows Y and of what does not: fitted to the
+#: errors of seven photographs, made smaller and kept as 4:2:0 (`tests/bench/bench_jpeg_loss.py`).
+_FOLLOWING, _OTHER = 1.65, 1.33
 #: Variance of Y, levels squared, below which a cell shows no contrast: that of two roundings.
 _NO_CONTRAST = 1 / 6
 #: Share of the finest detail of green that R - G and B - G have at most where their samples are
@@ -72,26 +70,18 @@ def chroma_variance(cells: Sequence[NDArray[Any]]) -> NDArray[np.float32]:
     """Return the variance of the errors of colours, levels squared, of each cell of 2 x 2 pixels.
 
     Args:
-        cells: (4, rows, columns) of red, of green and of blue, see `_lost`
+        cells: (4, rows, columns) of red, of green and of blue, see `_detail`
 
     Returns:
         (3, rows, columns)
     """
     red, green, blue = (each.sum(axis=0, dtype=np.uint32) * np.float32(0.25) for each in cells)
-    Y = _OF_Y[0] * red + _OF_Y[1] * green + _OF_Y[2] * blue
-    of_y, of_blue, of_red = (
-        np.maximum(box_means(each * each, 1) - np.square(box_means(each, 1)), 0.0)
-        for each in (Y, (blue - Y) * np.float32(1 / _OF_BLUE), (red - Y) * np.float32(1 / _OF_RED))
-    )
-    share = _LOSS * box_means(_lost(cells[1]), 1)
-    share /= of_y + np.float32(_NO_CONTRAST)
-    np.minimum(share, _MOST_LOST, out=share)
-    of_blue *= share
-    of_red *= share
-    found = np.empty((3, *Y.shape), np.float32)
+    detail = _detail(cells[1])
+    lost = _lost_chroma(red, green, blue, detail, lambda each: box_means(each, 1))
+    found = np.empty((3, *green.shape), np.float32)
     for k in range(3):
-        np.multiply(of_blue, _VARIANCES[0, k], out=found[k])
-        found[k] += _VARIANCES[1, k] * of_red
+        np.multiply(lost[0], _VARIANCES[0, k], out=found[k])
+        found[k] += _VARIANCES[1, k] * lost[1]
     return found
 
 
@@ -102,15 +92,60 @@ def patch_chroma_variance(patches: Patches) -> NDArray[np.float32]:
     cells = squares.reshape(*squares.shape[:2], squares.shape[2] // 2, 2, -1, 2)
     # (patches, rows, 2, columns, 2) to (4, rows, columns, patches)
     green = cells[1].transpose(2, 4, 1, 3, 0).reshape(4, *cells.shape[2:5:2], -1)
-    lost = _lost(green).mean(axis=(0, 1))
-    mean = cells.mean(axis=(3, 5), dtype=np.float32)
-    Y = np.tensordot(_OF_Y, mean, 1)
-    of_y, blue, red = (
-        each.var(axis=(1, 2)) for each in (Y, (mean[2] - Y) / _OF_BLUE, (mean[0] - Y) / _OF_RED)
+    means = cells.mean(axis=(3, 5), dtype=np.float32)
+    detail = np.moveaxis(_detail(green), 2, 0)
+    red, middle, blue = means
+    lost = _lost_chroma(
+        red, middle, blue, detail, lambda each: np.asarray(each.mean(axis=(1, 2), keepdims=True))
     )
-    share = np.minimum(_LOSS * lost / (of_y + _NO_CONTRAST), _MOST_LOST)
-    found = (np.stack([blue, red], axis=-1) * share[:, np.newaxis]) @ _VARIANCES
-    return np.asarray(found.T.ravel(), np.float32)
+    every = np.stack([each.mean(axis=(1, 2)) for each in lost], axis=-1)
+    return np.asarray((every @ _VARIANCES).T.ravel(), np.float32)
+
+
+def patch_brightness(patches: Patches) -> NDArray[np.float32]:
+    """Return Y of patches of red, green and blue, (patches, side, side)."""
+    return brightness(np.moveaxis(_patch_squares(patches), 0, -1))
+
+
+def brightness(pixels: NDArray[Any]) -> NDArray[np.float32]:
+    """Return Y of pixels, (..., 3)."""
+    return np.asarray(sum(pixels[..., k] * _OF_Y[k] for k in range(3)), np.float32)
+
+
+NOISE_OF_Y = float(np.sqrt(np.square(_OF_Y).sum()))
+"""Noise of Y as a multiple of that of each colour."""
+
+
+def _lost_chroma(
+    red: NDArray[np.float32],
+    green: NDArray[np.float32],
+    blue: NDArray[np.float32],
+    detail: NDArray[np.float32],
+    mean: Callable[[NDArray[np.float32]], NDArray[np.float32]],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the variance that Cb, and Cr, lose within cells, levels squared.
+
+    Args:
+        red: of each cell
+        green: likewise
+        blue: likewise
+        detail: variance of Y within the cells, see `_detail`
+        mean: returns the mean over the cells around each one, or over all
+    """
+    Y = _OF_Y[0] * red + _OF_Y[1] * green + _OF_Y[2] * blue
+    middle = mean(Y)
+    spread = np.maximum(mean(Y * Y) - np.square(middle), 0) + np.float32(_NO_CONTRAST)
+    # Without the root, sharp pictures lose more than that and soft ones less.
+    share = np.sqrt(np.minimum(mean(detail) / spread, 1)) * np.float32(_OTHER)
+    found = []
+    for colour, scale in ((blue, _OF_BLUE), (red, _OF_RED)):
+        chroma = (colour - Y) * np.float32(1 / scale)
+        average = mean(chroma)
+        slope = (mean(chroma * Y) - average * middle) / spread
+        square = np.square(slope)
+        rest = np.maximum(mean(chroma * chroma) - np.square(average) - square * spread, 0)
+        found.append(np.float32(_FOLLOWING) * square * detail + share * rest)
+    return found[0], found[1]
 
 
 def _patch_squares(patches: Patches) -> Patches:
@@ -119,23 +154,33 @@ def _patch_squares(patches: Patches) -> Patches:
     return patches.reshape(3, -1, side, side)
 
 
-def _lost(cells: NDArray[Any]) -> NDArray[np.float32]:
-    """Return the variance that interpolation between the means of cells does not show.
+def _detail(cells: NDArray[Any]) -> NDArray[np.float32]:
+    """Return the variance within cells that interpolation between their means does not show.
 
-    It shows a quarter of the difference of the means on both sides.
+    Decoders put the mean at the centre of a cell, and interpolate linearly from there.
 
     Args:
         cells: (4, rows, columns, ...) of green, whose detail within a cell is that of Y: its upper
             left, upper right, lower left and lower right sample
     """
-    first, second, third, last = (each.astype(np.float32) for each in cells)
-    left, right, differences = first + third, second + last, third - first
-    across, others = right - left, last - second
-    down, diagonal = differences + others, others - differences
-    mean = (left + right) / 4
-    down[1:-1] -= (mean[2:] - mean[:-2]) / 2
-    across[:, 1:-1] -= (mean[:, 2:] - mean[:, :-2]) / 2
-    return np.asarray((np.square(across) + np.square(down) + np.square(diagonal)) / 16)
+    mean = cells.sum(axis=0, dtype=np.uint32) * np.float32(0.25)
+    found: NDArray[np.float32] = np.zeros_like(mean)
+    for down in (0, 1):
+        rows = (3 * mean + _beside(mean, 0, down)) / 16
+        for across in (0, 1):
+            smooth = 3 * rows + _beside(rows, 1, across)
+            found += np.square(cells[2 * down + across] - smooth)
+    found /= 4
+    return found
+
+
+def _beside(values: NDArray[np.float32], axis: int, step: int) -> NDArray[np.float32]:
+    """Return the values before (0) or after (1) each one; at the ends of the axis its own."""
+    found = values.copy()
+    to, of = (slice(None, -1), slice(1, None)) if step else (slice(1, None), slice(None, -1))
+    before: tuple[slice, ...] = (slice(None),) * axis
+    found[(*before, to)] = values[(*before, of)]
+    return found
 
 
 def _finest(squares: NDArray[np.int16]) -> NDArray[np.float64]:

@@ -80,8 +80,10 @@ def patch_places(
     """Return first rows, first columns and side of the patches of one of so many planes."""
     side = min(_SIDE, max(1, min(shape) // 4))
     most = math.isqrt(_PATCHES // planes)
+    # Blocks of JPEG files begin at multiples of their side.
     rows, columns = (
-        np.linspace(0, length - side, min(length // side, most)).astype(np.intp) for length in shape
+        np.linspace(0, length - side, min(length // side, most)).astype(np.intp) // side * side
+        for length in shape
     )
     return rows, columns, side
 

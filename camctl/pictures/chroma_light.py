@@ -9,13 +9,14 @@ saturation does to a sample makes it darker.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.evidence.chroma import chroma_variance
+from camctl.evidence.chroma import brightness, chroma_variance
+from camctl.evidence.lost_detail import SIDE, LostDetail
 from camctl.model.light import Floats32, LightTables
 from camctl.model.sensor import CLIPPING_SIGMAS
 from camctl.system.picture_operations import box_means
@@ -41,27 +42,35 @@ _ROUNDS = 2
 def share_chroma_errors(
     frames: Sequence[NDArray[Any]],
     tables: Sequence[LightTables],
+    details: Sequence[LostDetail],
     irradiance: Floats32,
     deviation: Floats32,
 ) -> None:
     """Replace the light of samples whose colours have notable errors, and its deviation.
 
     Args:
-        frames: the same rows of each, (rows, columns, 3), clipped at white
+        frames: the same rows of each, (rows, columns, 3), clipped at white, from a block on
         tables: of red, green and blue
+        details: what the file of each frame loses besides; empty where this is not known
         irradiance: as if there were none and noise dithered the quantiser, at exposure 1
         deviation: likewise; what is not a number stays so
     """
-    rows, columns = (length & ~1 for length in irradiance.shape[:2])
-    if not rows or not columns:
+    rows, columns = irradiance.shape[:2]
+    if rows & 1 or columns & 1:
+        # A file has whole cells, whose other samples are about those at the border.
+        rest = (0, rows & 1), (0, columns & 1), (0, 0)
+        padded = [np.pad(each, rest, mode="edge") for each in (*frames, irradiance, deviation)]
+        share_chroma_errors(padded[:-2], tables, details, *padded[-2:])
+        irradiance[...], deviation[...] = (each[:rows, :columns] for each in padded[-2:])
         return
-    seen = [[_by_cells(each[:rows, :columns, k]) for k in range(len(tables))] for each in frames]
+    seen = [[_by_cells(each[..., k]) for k in range(len(tables))] for each in frames]
     shape = 4, rows // 2, columns // 2
     errors = np.stack([chroma_variance([each.reshape(shape) for each in cells]) for cells in seen])
+    for frame, detail, error in zip(frames, details, errors, strict=bool(details)):
+        error += _by_block(detail, frame)
     spreads = np.sqrt(errors, out=errors).reshape(len(frames), len(tables), -1)
     lights, deviations = (
-        [_by_cells(each[:rows, :columns, k]) for k in range(len(tables))]
-        for each in (irradiance, deviation)
+        [_by_cells(each[..., k]) for k in range(len(tables))] for each in (irradiance, deviation)
     )
     beside, hidden = _beside_saturated(seen, spreads, tables[0].sensor.highest(None))
     for channel, table in enumerate(tables):
@@ -76,7 +85,14 @@ def share_chroma_errors(
         )
     for whole, planes in ((irradiance, lights), (deviation, deviations)):
         for channel, each in enumerate(planes):
-            _cells_of(whole[:rows, :columns, channel])[...] = each.reshape(2, 2, rows // 2, -1)
+            _cells_of(whole[..., channel])[...] = each.reshape(2, 2, rows // 2, -1)
+
+
+def _by_block(detail: LostDetail, frame: NDArray[Any]) -> NDArray[np.float32]:
+    """Return what a file loses of each cell, levels squared, (rows / 2, columns / 2)."""
+    blocks = detail.of_picture(brightness(frame))
+    cells = blocks.repeat(SIDE // 2, axis=0).repeat(SIDE // 2, axis=1)
+    return cells[: frame.shape[0] // 2, : frame.shape[1] // 2]
 
 
 def _replace(
@@ -110,7 +126,7 @@ def _replace(
         rest = [cells[:0]]
         for start in range(0, cells.size, _BLOCK // 4):
             some = cells[start : start + _BLOCK // 4]
-            first = light.take(some, axis=1), deviation.take(some, axis=1)
+            first = light.take(some, axis=1), deviation.take(some, axis=1), small.take(some)
             joined, is_even = _joined(
                 tables,
                 [each.take(some, axis=1) for each in values],
@@ -123,7 +139,7 @@ def _replace(
             if by_cell and not is_even.all():
                 rest.append(some[~is_even])
                 done, joined = some[is_even], joined.of(is_even)
-                first = first[0], first[1][:, is_even]
+                first = first[0], first[1][:, is_even], first[2]
             light[:, done] = joined.light
             deviation[:, done] = np.where(np.isnan(first[1]), np.nan, joined.own)
             common[:, done] = joined.common
@@ -249,7 +265,7 @@ def _joined(
     values: Sequence[NDArray[Any]],
     errors: NDArray[np.float32],
     hidden: Sequence[NDArray[np.bool_]],
-    first: tuple[Floats32, Floats32],
+    first: tuple[Floats32, Floats32, Floats32],
     *,
     by_cell: bool,
 ) -> tuple[_Joined, NDArray[np.bool_]]:
@@ -260,7 +276,7 @@ def _joined(
         values: of each frame
         errors: standard deviations of the errors that frames have in common, levels, (n, C)
         hidden: whether another colour of the pixel is saturated
-        first: light and deviation without these errors
+        first: light and deviation without these errors, and what they add to it, (C,)
         by_cell: with the noise of a cell's mean light, whose errors choose weights less
     """
     exposures, full = tables.exposures, np.float32(tables.sensor.full)
@@ -269,22 +285,20 @@ def _joined(
     order = _seeing(exposures, saturated)
     light = first[0]
     samples = {at: tables.irradiance[at].take(values[at]) for at in order}
+    unseen = [dim | other for dim, other in zip(saturated, hidden, strict=True)]
+    apart = _contradiction(tables, samples, values, errors, unseen)
     is_even = np.ones(light.shape[1], np.bool_)
     for _ in range(1 if by_cell else _ROUNDS):
         bins = tables.bins(light.mean(axis=0) if by_cell else light)
         above, weights, own, shared, least = (np.zeros(light.shape, np.float32) for _ in range(5))
-        squares, count, high = (np.zeros(light.shape, np.float32) for _ in range(3))
-        low, odd = np.full(light.shape, _BEYOND), np.zeros(light.shape, np.bool_)
+        squares, count = (np.zeros(light.shape, np.float32) for _ in range(2))
         for at in order:
             sample, saturates = samples[at], np.float32(full / exposures[at])
             noise = tables.variances[at].take(bins)
             error = errors[at] * tables.steps[at].take(bins)
             both = noise + np.square(error)
             reached = reach * np.sqrt(both)
-            dim = saturated[at] | hidden[at]
             counts = ~(saturated[at] | tables.clipped[at].take(bins))
-            # Noise does not lift a sample so far above the light that would clip it at black.
-            odd |= ~(counts | dim) & (sample - reached > light)
             counts &= (weights > 0) | ~hidden[at]
             # Nothing is known, and these are not numbers, before the first frame that counts.
             mean = above / weights
@@ -296,7 +310,7 @@ def _joined(
             # What may be saturated says how much light there is at least, and so do longer ones.
             counts &= ~(darker | (sample + reached < least))
             is_even &= (counts == counts[0]).all(axis=0)
-            least = np.maximum(least, (sample - reached) * dim)
+            least = np.maximum(least, (sample - reached) * unseen[at])
             weight = counts / both
             above += weight * sample
             squares += weight * np.square(sample)
@@ -304,19 +318,51 @@ def _joined(
             shared += weight * error
             weights += weight
             count += counts
-            high = np.maximum(high, sample * (counts | odd))
-            low = np.minimum(low, sample + ~counts * _BEYOND)
         found = weights > 0
         total = weights + ~found
         light = np.maximum(above / total, 0) + ~found * first[0]
     scatter = np.maximum(squares - np.square(above) / total, 0)
     expected = count - (own + np.square(shared)) / total
     # Where frames contradict each other, their mean is no better than any of them.
-    odd = found & (odd | (scatter > reach**2 * np.maximum(expected, 1)))
-    common = np.maximum(shared / total, odd * (high - low) / 2)
+    common = np.maximum(shared / total, apart / 2) + ~found * first[2]
     deviation, missing = np.asarray(np.sqrt(own) / total, np.float32), np.nonzero(~found)
     # What is saturated, the shortest frame says best.
-    lost = saturated[order[0]] | hidden[order[0]]
-    deviation[missing] = np.where(lost[missing], np.inf, first[1][missing])
+    deviation[missing] = np.where(unseen[order[0]][missing], np.inf, first[1][missing])
     sums = np.stack([each.sum(axis=0) for each in (scatter, expected)])
-    return _Joined(light, deviation, common, sums), is_even & (found & ~odd).all(axis=0)
+    return _Joined(light, deviation, common, sums), is_even & (found & (apart == 0)).all(axis=0)
+
+
+def _contradiction(
+    tables: LightTables,
+    samples: Mapping[int, Floats32],
+    values: Sequence[NDArray[Any]],
+    errors: NDArray[np.float32],
+    unseen: Sequence[NDArray[np.bool_]],
+) -> Floats32:
+    """Return how far the light of frames is apart where they contradict each other, else 0.
+
+    Their errors are those at the light of each frame.  At the light of all, which the longest
+    frames decide, errors of shorter ones are smaller or larger than they are.
+
+    Args:
+        tables: of the colour
+        samples: light of some frames
+        values: of each frame
+        errors: standard deviations of the errors that frames have in common, levels, (n, C)
+        unseen: what may be saturated, of each frame
+    """
+    reach = np.float32(CLIPPING_SIGMAS)
+    shape = values[0].shape
+    low, brightest = (np.zeros(shape, np.float32) for _ in range(2))
+    high, darkest = (np.full(shape, _BEYOND) for _ in range(2))
+    for at, sample in samples.items():
+        bins = tables.bins(tables.irradiance[at])
+        error = errors[at] * tables.steps[at].take(bins).take(values[at])
+        noise = tables.variances[at].take(bins).take(values[at])
+        reached = reach * np.sqrt(noise + np.square(error))
+        seen, beyond = ~unseen[at], unseen[at] * _BEYOND
+        low = np.maximum(low, (sample - reached) * seen)
+        high = np.minimum(high, sample + reached + beyond)
+        brightest = np.maximum(brightest, sample * seen)
+        darkest = np.minimum(darkest, sample + beyond)
+    return np.asarray((low > high) * (brightest - darkest), np.float32)

@@ -142,7 +142,7 @@ def _combined(light: FrameLight, pictures: list[NDArray[Any]], black: int) -> Co
         mask[rows][(sums <= count * black) | (sd[rows] >= irradiance[rows])] = DARK
         mask[rows][(sums == count * light.white) | np.isinf(sd[rows])] = SATURATED
 
-    step = max(2, _STRIP // math.prod(shape[1:]) & ~1)
+    step = max(8, _STRIP // math.prod(shape[1:]) & ~7)  # blocks of JPEG files
     strips = (slice(first, first + step) for first in range(0, shape[0], step))
     for _ in in_threads(fill, strips):
         pass

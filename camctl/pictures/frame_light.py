@@ -17,7 +17,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.evidence.chroma import ROUNDING, has_few_chroma_samples, patch_chroma_variance
+from camctl.evidence.chroma import (
+    NOISE_OF_Y,
+    ROUNDING,
+    has_few_chroma_samples,
+    patch_brightness,
+    patch_chroma_variance,
+)
+from camctl.evidence.lost_detail import LEVELS, SIDE, LostDetail, lost_details
 from camctl.evidence.noise import NoiseFit, electrons_per_level, fit_noise
 from camctl.evidence.patches import Patches
 from camctl.interface.controls import Layout
@@ -131,6 +138,8 @@ class FrameLight:
         unit: irradiance in the result times this is irradiance at exposure 1
         chroma: what estimates red, green and blue where frames have few samples of the differences
             of these; empty where that is not so
+        details: what the files of frames with few such samples lose besides; empty where this is
+            not known
     """
 
     parts: tuple[tuple[Part, Estimator], ...]
@@ -138,6 +147,7 @@ class FrameLight:
     white: int
     unit: float
     chroma: tuple[LightTables, ...] = ()
+    details: tuple[LostDetail, ...] = ()
     _kept: local = field(default_factory=local, init=False, repr=False)
 
     def rows(
@@ -149,7 +159,7 @@ class FrameLight:
         known.
 
         Args:
-            frames: the same rows of each frame, from an even one on, black included
+            frames: the same rows of each frame, from a multiple of 8 on, black included
             total: sum of the frames, clipped at white
         """
         irradiance, deviation = (
@@ -162,7 +172,7 @@ class FrameLight:
                 view = part.view(whole)
                 view[...] = found.reshape(view.shape)
         if self.chroma:
-            share_chroma_errors(clipped, self.chroma, irradiance, deviation)
+            share_chroma_errors(clipped, self.chroma, self.details, irradiance, deviation)
         irradiance *= np.float32(1 / self.unit)
         deviation *= np.float32(1 / self.unit)
         return irradiance, deviation
@@ -269,7 +279,22 @@ def frame_light(
             noises.append(frames.noise)
     white = black + parts[0].response.M
     tables = [each.tables for _, each in found if plain is not None and each.tables is not None]
-    return FrameLight(tuple(found), tuple(noises), white, unit, tuple(tables))
+    details = _lost_details(tables[1], samples) if tables else ()
+    return FrameLight(tuple(found), tuple(noises), white, unit, tuple(tables), details)
+
+
+def _lost_details(green: LightTables, samples: Sequence[Patches]) -> tuple[LostDetail, ...]:
+    """Return what the files of frames lose of their brightness, as samples of colours show it."""
+    blocks = [patch_brightness(each) for each in samples]
+    if blocks[0].shape[1] != SIDE or green.sensor.white != LEVELS - 1:
+        return ()
+    noise = []
+    for light, variances, steps in zip(green.irradiance, green.variances, green.steps, strict=True):
+        bins = green.bins(light)
+        noise.append(
+            NOISE_OF_Y * np.sqrt(variances.take(bins)) / np.maximum(steps.take(bins), 1e-12)
+        )
+    return lost_details(blocks, noise)
 
 
 def is_noiseless(noise: Sequence[FrameNoise]) -> bool:

@@ -290,9 +290,9 @@ class Rendering:
         return total.shape[:2] if self.layout is Layout.MONO else (*total.shape[:2], 3)
 
     def strip_rows(self, total: NDArray[np.unsignedinteger]) -> int:
-        """Return the number of rows of a strip, even, so that a mosaic's pattern begins anew."""
+        """Return the rows of a strip, a multiple of 8: no block of a JPEG file spans two."""
         row_samples: int = total.shape[1] * len(self.channels)
-        return min(_STRIP_ROWS, max(2, STRIP_SAMPLES // row_samples & ~1))
+        return min(_STRIP_ROWS, max(8, STRIP_SAMPLES // row_samples & ~7))
 
     def strips(self, total: NDArray[np.unsignedinteger]) -> Iterator[Callable[[], Strip]]:
         """Yield what makes the pictures of a sum, from top to bottom, `strip_rows` rows at a time.

@@ -284,6 +284,26 @@ def test_colours_of_jpeg_files_are_as_unsure_as_their_chroma(quality: int) -> No
     assert mine < other
 
 
+def test_detail_that_all_jpeg_files_lose_alike_is_part_of_the_standard_deviation() -> None:
+    """It is in no difference of frames: errors were twice as large as their `sd`."""
+    real, exposures = camera("srgb"), tuple(1.7**k for k in range(12))
+    rng = np.random.default_rng(2)
+    fine = cv2.GaussianBlur(rng.normal(0, 1, (256, 384)), (0, 0), 0.8)
+    coarse = cv2.resize(rng.normal(0, 1, (8, 12)), (384, 256), interpolation=cv2.INTER_CUBIC)
+    light = np.exp(0.4 * fine + coarse)[..., np.newaxis] * (0.01, 0.008, 0.006)
+    frames = shot(light, exposures, real, FrameNoise(40.0, 0.7))
+    lossy = []
+    for each in frames:
+        data = cv2.imencode(".jpg", each[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])[1]
+        lossy.append(np.asarray(cv2.imdecode(data, 1), np.uint8)[..., ::-1])
+    found = camctl.combine(lossy, exposures, response=real)
+    z = np.abs((found.irradiance - light) / found.sd)[found.mask & 3 == 0]
+    z = z[np.isfinite(z)]
+    assert z.size > light.size / 2
+    assert 0.85 < np.sqrt(np.mean(z**2)) < 1.15
+    assert 0.62 < np.mean(z < 0.99446) < 0.76
+
+
 def test_two_levels_are_few_and_enough() -> None:
     frames = [np.array([[8, 9], [10, 9]], np.uint8), np.array([[8, 10], [10, 9]], np.uint8)]
     found = camctl.combine(frames, (1.0, 1.5), black=8, white=10, noise=FrameNoise(math.inf, 0.0))

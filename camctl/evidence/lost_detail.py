@@ -1,0 +1,227 @@
+"""Detail that JPEG files lose, the same of it in all frames of a scene.
+
+JPEG rounds the frequencies of blocks of 8 x 8 pixels to multiples of steps (ITU-T T.81).  Those of
+brightness are seen in decoded pictures, since every frequency is such a multiple again.  Most high
+frequencies are rounded to 0, and what they showed is lost: as all frames have nearly the same
+detail, it neither shows in their differences, nor does it average out.
+
+How large frequencies were that are 0 now is known from those that are not.  Blocks of a class have
+about as many of these, and Laplacian frequencies, whose scale is one of the class times one of the
+frequency; both are found by maximum likelihood from how many are not 0.  Noise takes part in what
+is kept: it leaves errors that frames have not in common.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+SIDE = 8
+"""Pixels on each side of a block."""
+
+LEVELS = 256
+"""Levels of brightness."""
+
+#: Steps of brightness that the standard gives as an example (ITU-T T.81, table K.1).
+_EXAMPLE = (
+    (16, 11, 10, 16, 24, 40, 51, 61),
+    (12, 12, 14, 19, 26, 58, 60, 55),
+    (14, 13, 16, 24, 40, 57, 69, 56),
+    (14, 17, 22, 29, 51, 87, 80, 62),
+    (18, 22, 37, 56, 68, 109, 103, 77),
+    (24, 35, 55, 64, 81, 104, 113, 92),
+    (49, 64, 78, 87, 103, 121, 120, 101),
+    (72, 92, 95, 98, 112, 100, 103, 99),
+)
+#: Mean cosine of frequencies in steps: a step of 2 has 0.55, as rounded pixels have errors of 0.35,
+#: and what is no step has 0 with an error of 0.07, if so many frequencies show it.
+_LEAST_COSINE, _LEAST_COUNT, _CHANCE = 0.4, 100, 0.14
+#: Of these, how many must be farther than one and a half steps: others are near any step.
+_LEAST_FARTHER = 20
+#: Frequencies that must show their step for the others to be known from them.
+_LEAST_KNOWN = 3
+_LARGEST_STEP = 255
+#: Rounds of the fit of scales, and bisections of each, from 1/20,000 to 20,000 levels.
+_ROUNDS, _HALVINGS, _REACH = 12, 24, 10.0
+#: Levels of brightness with one noise.
+_NOISE_BINS = 16
+
+
+@dataclass(frozen=True, eq=False)
+class LostDetail:
+    """What the file of a frame loses.
+
+    Attributes:
+        steps: of the frequencies, levels, (64,)
+        variance: that is lost of each frequency by class of block and brightness, levels squared,
+            where it is 0, (classes, bins, 64)
+        rounded: the same where it is not 0, (bins, 64)
+    """
+
+    steps: Floats
+    variance: NDArray[np.float32]
+    rounded: NDArray[np.float32]
+
+    def of(self, brightness: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the variance of what blocks lose, levels squared, (blocks,).
+
+        Args:
+            brightness: (blocks, 8, 8)
+        """
+        frequencies = _frequencies(brightness) / self.steps.astype(np.float32)
+        kept = np.abs(frequencies) > 0.5
+        classes = np.minimum(_classes(kept), len(self.variance) - 1)
+        bins = _noise_bins(brightness)
+        lost = np.where(kept, self.rounded[bins], self.variance[classes, bins])
+        return np.asarray(lost.mean(axis=1))
+
+    def of_picture(self, brightness: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the same of the blocks of a picture, (rows / 8, columns / 8), both rounded up."""
+        rest = [(0, -length % SIDE) for length in brightness.shape]
+        whole = (
+            np.pad(brightness, rest, mode="edge") if any(each[1] for each in rest) else brightness
+        )
+        rows, columns = (length // SIDE for length in whole.shape)
+        blocks = whole.reshape(rows, SIDE, columns, SIDE).swapaxes(1, 2)
+        return self.of(blocks.reshape(-1, SIDE, SIDE)).reshape(rows, columns)
+
+
+def quantisation(frames: Sequence[NDArray[np.float32]]) -> Floats | None:
+    """Return the steps of the frequencies that blocks of frames show, levels; None if they do not.
+
+    Args:
+        frames: brightness of blocks of each frame, (blocks, 8, 8), without clipped samples
+    """
+    values = np.concatenate([_frequencies(each) for each in frames])
+    known = np.array([0, *(_step(each) for each in values.T[1:])])
+    shown = known > 0
+    if np.count_nonzero(shown) < _LEAST_KNOWN:
+        return None
+    example = np.ravel(_EXAMPLE)
+    scale = known[shown].sum() / example[shown].sum()
+    return np.where(shown, known, np.maximum(np.rint(scale * example), 1))
+
+
+def lost_detail(brightness: NDArray[np.float32], steps: Floats, noise: Floats) -> LostDetail:
+    """Return what the file of a frame loses.
+
+    Args:
+        brightness: of blocks all over the frame, (blocks, 8, 8)
+        steps: of the frequencies
+        noise: standard deviation of that brightness at each one, levels, (256,)
+    """
+    kept = np.abs(_frequencies(brightness) / steps) > 0.5
+    classes = _classes(kept)
+    scales = _scales(kept, classes, steps)
+    noise = noise.reshape(_NOISE_BINS, -1).mean(axis=1)
+    square = np.square(noise)[:, np.newaxis]
+    in_steps = square / np.square(steps)
+    # Of the error of a rounded value, Widrow and Kollar, Quantization Noise, 2008.
+    rounded = np.square(steps) / 12 * np.exp(-4 * np.square(np.pi) * in_steps)
+    # In the mean, noise keeps a share of a small value, the density of what it lifts to a step.
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        share = np.sqrt(2 / np.pi / in_steps) * np.exp(-1 / (8 * in_steps))
+    missed = np.square(1 - np.minimum(np.nan_to_num(share), 1))
+    below = steps / 2 / scales[:, np.newaxis]
+    decay = np.exp(-below)
+    inside = 2 - decay * (below * below + 2 * below + 2)
+    spread = np.square(scales[:, np.newaxis]) * inside / np.maximum(1 - decay, 1e-12)
+    of_scene = np.maximum(1 - square / (2 * np.square(scales[:, np.newaxis])), 0)
+    lost = spread * of_scene * missed
+    lost[..., 0] = rounded[..., 0]
+    return LostDetail(steps, lost.astype(np.float32), rounded.astype(np.float32))
+
+
+def lost_details(
+    blocks: Sequence[NDArray[np.float32]], noise: Sequence[Floats]
+) -> tuple[LostDetail, ...]:
+    """Return what the files of frames lose; nothing where they do not show how they round.
+
+    Args:
+        blocks: brightness of blocks all over each frame, (blocks, 8, 8)
+        noise: of each frame, see `lost_detail`
+    """
+    whole = [each[(each.min(axis=(1, 2)) > 1) & (each.max(axis=(1, 2)) < 254)] for each in blocks]
+    steps = quantisation(whole)
+    if steps is None:
+        return ()
+    return tuple(lost_detail(each, steps, own) for each, own in zip(blocks, noise, strict=True))
+
+
+def _frequencies(brightness: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the frequencies of blocks, (blocks, 64)."""
+    from scipy.fft import dctn
+
+    found = dctn(brightness - np.float32(128), axes=(1, 2), norm="ortho")
+    return np.asarray(found.reshape(-1, SIDE * SIDE), np.float32)
+
+
+def _classes(kept: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return the class of each block: the octave of how many frequencies it keeps."""
+    return np.asarray(np.ceil(np.log2(1 + kept[:, 1:].sum(axis=1))), np.intp)
+
+
+def _noise_bins(brightness: NDArray[np.float32]) -> NDArray[np.intp]:
+    mean = np.clip(brightness.mean(axis=(1, 2)), 0, LEVELS - 1)
+    return np.asarray(mean * (_NOISE_BINS / LEVELS), np.intp)
+
+
+def _step(values: NDArray[np.float32]) -> int:
+    """Return the step of which values are multiples, 0 where none is seen."""
+    size = np.sort(np.abs(values))
+    cosines = {}
+    for step in range(2, _LARGEST_STEP + 1):
+        first, second = np.searchsorted(size, (step / 2, 3 * step / 2))
+        if size.size - first < _LEAST_COUNT:
+            break
+        if size.size - second < _LEAST_FARTHER:
+            continue
+        cosine = float(np.cos(size[first:] * np.float32(2 * math.pi / step)).mean())
+        if cosine > _LEAST_COSINE:
+            cosines[step] = cosine
+    # Parts of the step have about the same cosine, multiples have not.
+    best = max(cosines.values(), default=0)
+    return max((step for step, each in cosines.items() if each > best - _CHANCE), default=0)
+
+
+def _scales(kept: NDArray[np.bool_], classes: NDArray[np.intp], steps: Floats) -> Floats:
+    """Return the scales of Laplacian frequencies by class, (classes, 64), levels."""
+    count = int(classes.max()) + 1
+    blocks = np.bincount(classes, minlength=count)[:, np.newaxis]
+    seen = np.stack([kept[classes == k].sum(axis=0) for k in range(count)]).astype(np.float64)
+    half = steps / 2
+    own, frequency = np.zeros((count, 1)), np.log(half / 3)[np.newaxis]
+
+    def expected(x: Floats, y: Floats) -> Floats:
+        return np.asarray(blocks * np.exp(-half * np.exp(-x - y)))
+
+    of_class = np.maximum(seen[:, 1:].sum(axis=1, keepdims=True), 0.5)
+    of_frequency = np.maximum(seen.sum(axis=0, keepdims=True), 0.5)
+    for _ in range(_ROUNDS):
+        own = _solved(
+            lambda x, y=frequency: expected(x, y)[:, 1:].sum(axis=1, keepdims=True),  # type: ignore[misc]
+            of_class,
+        )
+        frequency = _solved(
+            lambda x, y=own: expected(x, y).sum(axis=0, keepdims=True),  # type: ignore[misc]
+            of_frequency,
+        )
+    used = np.flatnonzero(blocks)
+    own = np.interp(np.arange(count), used, own[used, 0])[:, np.newaxis]
+    return np.asarray(np.exp(own + frequency))
+
+
+def _solved(ascending: Callable[[Floats], Floats], wanted: Floats) -> Floats:
+    """Return where an ascending function has some values."""
+    low, high = np.full(wanted.shape, -_REACH), np.full(wanted.shape, _REACH)
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        is_less = ascending(middle) < wanted
+        low, high = np.where(is_less, middle, low), np.where(is_less, high, middle)
+    return low
