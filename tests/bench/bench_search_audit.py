@@ -32,7 +32,7 @@ from camctl.model.response.desired import DesiredResponse, desired_response
 from camctl.model.response.tabulated import tabulated_desired
 
 CASES, EVALUATIONS = 60, 3000
-"""Problems, and sets that the other search rates for each: 20 minutes of processor time."""
+"""Problems, and sets that the other search rates for each: 5 minutes of processor time."""
 
 REGRET = 1e-3
 """Largest relative difference from the least xi that is known."""

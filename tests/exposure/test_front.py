@@ -132,6 +132,10 @@ STEPPED_GAIN = replace(
             (STREAM, 16000.0, 2.0, 51.85),
             # Frames of exactly a frame interval cost nothing more than shorter ones.
             (STEPPED_GAIN, 1000.0, 0.5, 58.6),
+            # No exchange of one frame leads to the gains of the best set.
+            (STEPPED_GAIN, 4000.0, 4.0, 118.5),
+            # Several levels of a dark frame lie within one step of the estimate.
+            (STREAM, 1000.0, 3.0, 166.8),
         ],
         every=2,
     ),
@@ -139,7 +143,7 @@ STEPPED_GAIN = replace(
 def test_sets_that_an_adversary_found_are_found(
     camera: ExposureControls, dynamic_range: float, budget_s: float, least: float
 ) -> None:
-    """A random search with the exact prediction beat earlier fronts by 0.3 to 0.9 %."""
+    """A random search with the exact prediction beat earlier fronts by up to 1.4 %."""
     desired = desired_response("log", dynamic_range)
     assert Front(camera, desired, BASE_S).at_time(budget_s).levels >= least
 

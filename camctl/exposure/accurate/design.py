@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,12 +37,24 @@ MAX_ROUNDS = 60
 TUNED, IMPROVED = 4, 4
 """Sets that are tuned to a time, and sets of which frames are then exchanged if it is thorough."""
 
+REGAINED = 2
+"""Sets whose gains are shared among their frames in other ways: with 1 of them some are 0.8 % less
+accurate, with 4 less than 0.02 % more."""
+
 NEAR_MSE = 1.02
 """Ratio of estimated errors up to which either set may be the better one: 1 % of the levels."""
 
 CHEAPER = 10.0
 """Factor of the weight of time at which short frames are tried beside those of the best merit: many
 of them may bring what one long frame does."""
+
+MOST_PATTERNS = 4000
+"""Ways to share the gains among frames that are compared at once, at most: some 20 ms.  16 frames
+share 5 gains in 3,876 ways; of more frames, neighbours keep the same gain."""
+
+NEAR_PATTERN = 1.1
+"""Ratio of estimated errors up to which a set with other gains may become the better one by
+exchanges of its frames."""
 
 NEAR = 7
 """Settings of a list that are tried for each frame of a pair."""
@@ -220,8 +232,14 @@ class DesignSearch(TunedSets):
         if thorough and not self.is_list:
             kept.append(self.scaled(self.evened(kept[0]), limit))
         found = _best_of_each([*(self._improved(each, limit) for each in kept), *tuned])
-        if thorough:
+        while thorough:
             found = _best_of_each([*found, *self._resized_on(found[0], limit)])
+            best = found[0].mse
+            near = [each for each in found if each.mse < best * NEAR_MSE][:REGAINED]
+            regained = (self._regained_together(each, limit) for each in near)
+            found = _best_of_each([*found, *regained])
+            if not found[0].mse < best * (1 - BETTER):
+                break
         return found
 
     def _resized_on(self, design: Design, limit: float) -> list[Design]:
@@ -255,6 +273,47 @@ class DesignSearch(TunedSets):
                 break
             best = improved
         return best
+
+    def _regained_together(self, design: Design, limit: float) -> Design:
+        """Return a set, or a better one whose gains are shared among the frames in another way.
+
+        Exchanges of one frame do not lead from a few long frames to more and shorter ones of a
+        higher gain, since each set between the two is worse.
+        """
+        if self.is_list or self.gains.size == 1 or design.n == 1:
+            return design
+        trials = (self.fitted(each, limit) for each in self._shared(design))
+        best = min(trials, key=lambda each: each.mse, default=design)
+        best = self.refitted(best, limit)
+        if best.mse < design.mse * NEAR_PATTERN:
+            best = self._improved(best, limit)
+        return min(design, best, key=lambda each: each.mse)
+
+    def _shared(self, design: Design) -> list[Design]:
+        """Return sets of the same exposures with other gains, for each largest gain the best one.
+
+        The gains rise with the exposure: light that only long exposures show has little noise.
+        """
+        parts, cost = self.at_each_gain(design)
+        ends = _shares(design.n, self.gains.size)
+        starts = np.concatenate([np.zeros_like(ends[:, :1]), ends[:, :-1]], axis=1)
+        each, coarse = np.arange(self.gains.size), parts[..., ::COARSER]
+        sums = np.concatenate([np.zeros_like(coarse[:, :, :1]), coarse.cumsum(axis=2)], axis=2)
+        times = np.concatenate([np.zeros_like(cost[:, :1]), cost.cumsum(axis=1)], axis=1)
+        total = (sums[:, each, ends] - sums[:, each, starts]).sum(axis=2)
+        time = (times[each, ends] - times[each, starts]).sum(axis=1)
+        merit = self.merits(self.frames.mse(total, COARSER), time, self.weight_of(design))
+        largest = np.where(ends > starts, np.arange(self.gains.size), 0).max(axis=1)
+        found = []
+        for gain in np.unique(largest).tolist():
+            index = np.flatnonzero(largest == gain)
+            chosen = int(index[merit[index].argmin()])
+            gains = np.repeat(np.arange(self.gains.size), ends[chosen] - starts[chosen])
+            gains[0] = design.gain[0]
+            if np.any(gains != design.gain):
+                place = np.clip(design.log_exposure, *self.limits(gains))
+                found.append(self.design(place, gains))
+        return found
 
     def _smaller(
         self, design: Design, limit: float, weights: tuple[float, ...] = (1.0,)
@@ -309,3 +368,13 @@ def _best_of_each(designs: Iterable[Design]) -> list[Design]:
     """Return the set of least error of each number of frames, the best first."""
     found = {each.n: each for each in sorted(designs, key=lambda each: -each.mse)}
     return sorted(found.values(), key=lambda each: each.mse)
+
+
+def _shares(n: int, gains: int) -> NDArray[np.intp]:
+    """Return ways to share rising gains among n frames: the ends of the frames of each gain."""
+    step = 1
+    while math.comb(math.ceil(n / step) + gains - 1, gains - 1) > MOST_PATTERNS:
+        step += 1
+    places = [*range(0, n, step), n]
+    rows = [(*ends, n) for ends in combinations_with_replacement(places, gains - 1)]
+    return np.array(rows, dtype=np.intp)

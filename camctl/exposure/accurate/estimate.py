@@ -36,6 +36,12 @@ NODES = 96
 EDGES = np.linspace(0.0, 1.0, NODES + 1)
 """Edges of these steps."""
 
+WITHIN = 4
+"""Values of u within a step over which what a frame contributes is averaged: where the range is
+long, several levels of a dark frame lie within one step.  The ratios of the exact levels to the
+estimate then differ by 0.22 % between sets (one standard deviation; sensor standard, log 1:16,000,
+8 s), by 0.33 % with the middle of each step alone, and not by less with 8 values."""
+
 FEW_LEVELS = 15
 """Cameras of so few levels (photon counters of 1 to 4 bits) have errors as large as the range."""
 
@@ -102,7 +108,9 @@ class FrameAccuracy:
         self.share = np.diff(edges)
         u, E = self.u, problem.desired.inverse(self.u)
         slope = problem.desired.slope(E)
-        self.log_E = np.log(E)
+        within = (np.arange(WITHIN) + 0.5) / WITHIN
+        inside = edges[:-1, np.newaxis] + self.share[:, np.newaxis] * within
+        self._log_E = np.log(problem.desired.inverse(inside.ravel()))
         self.weight = ((E * slope) ** 2).astype(np.float32)
         # Below the light that is seen at all, the error is that of a uniform u: u1^2 / 12 from 0 to
         # u1, which is the mean of u^2 / 4.
@@ -121,7 +129,7 @@ class FrameAccuracy:
         white = np.array([float(response.levels[-1])])
         sigma = deviation(response, white, frame) / max(float(response.slope(white)[0]), 1e-12)
         top = math.log(float((white + _BEYOND * sigma)[0])) + 2 * _STEP
-        first = min(float(self.log_E[0]), top - _STEP)
+        first = min(float(self._log_E[0]), top - _STEP)
         log_x = first + _STEP * np.arange(math.ceil((top - first) / _STEP) + 2)
         x = np.exp(log_x)
         slope = response.slope(x)
@@ -156,9 +164,9 @@ class FrameAccuracy:
             gain: their gain
             time: (F,) their shutter times, in the unit of the problem
         """
-        table, log_x = self._tables[gain], log_exposure[:, np.newaxis] + self.log_E
+        table, log_x = self._tables[gain], log_exposure[:, np.newaxis] + self._log_E
         if not self.unit_s:
-            return table.at(log_x)
+            return _averaged(table.at(log_x))
         time_s = (time * self.unit_s)[:, np.newaxis]
         if table.dark:
             log_lit = np.logaddexp(log_x, np.log(np.maximum(table.dark * time_s, 1e-300)))
@@ -167,7 +175,7 @@ class FrameAccuracy:
         else:
             rows = table.at(log_x)
         rows[2] = np.hypot(rows[2], rows[-1] * time_s)
-        return rows[:-1]
+        return _averaged(rows[:-1])
 
     def mse(self, parts: NDArray[np.floating[Any]], step: int = 1) -> FloatArray:
         """Return the mean square error in u of summed parts, (...) from (3, ..., NODES).
@@ -212,6 +220,11 @@ class FrameAccuracy:
         else:
             np.fmin(error, self.largest[::step], out=error)
         return np.asarray(error)
+
+
+def _averaged(rows: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the means over each step of u, (..., NODES) from (..., NODES x WITHIN)."""
+    return np.asarray(rows.reshape(*rows.shape[:-1], -1, WITHIN).mean(axis=-1))
 
 
 def _near_black(

@@ -164,6 +164,16 @@ class FrameSets:
         mse = float(self.frames.mse(parts.sum(axis=1)))
         return Design(log_exposure, gain, parts, mse, float(self._cost(log_exposure, gain).sum()))
 
+    def at_each_gain(self, design: Design) -> tuple[NDArray[np.float32], FloatArray]:
+        """Return what the frames of a set contribute and take at each gain, the first as it is.
+
+        (3, K, n, NODES) and (K, n); exposures that a gain does not reach are changed to its next.
+        """
+        gain = np.repeat(np.arange(self.gains.size)[:, np.newaxis], design.n, axis=1)
+        gain[:, 0] = design.gain[0]
+        log_exposure = np.clip(design.log_exposure, *self.limits(gain))
+        return self._parts(log_exposure, gain), self._cost(log_exposure, gain)
+
     def shots(self, design: Design) -> Shots:
         """Return the frames of a set, ascending in exposure."""
         return self._shots(design.log_exposure, design.gain)

@@ -40,6 +40,10 @@ MOST_JUDGED, MOST_SMOOTH = 6, 2
 """Such sets that are judged, at most, and of their like at other gains; and where noise dithers the
 quantiser in the dark, too, so that the estimate errs alike for all of them."""
 
+JUDGED_FRAMES = 48
+"""Frames of sets that are judged at once, at most, for at least `MOST_SMOOTH` sets: what a rating
+costs grows with the frames of the set, and the estimate errs less for more of them."""
+
 KNEE = 0.97
 """Share of the largest levels^2 / time from which more time counts as no better than averaging.
 Predictions and an independent simulator differ by up to 1.05 % (42 cells), so that levels^2 of two
@@ -192,7 +196,7 @@ class AccurateSets:
         near = [pair for pair in pairs if pair[0].levels >= NEAR_BEST * pairs[0][0].levels]
         judged = [
             (self.judge(search.shots(design)), design, search)
-            for design, search in near[: self._most if polishes else 1]
+            for design, search in near[: self._judged(near) if polishes else 1]
         ]
         judged.sort(key=lambda each: -each[0].levels)
         if polishes:
@@ -235,6 +239,12 @@ class AccurateSets:
             found.append(Rated(search.shots(design), levels, design.time))
         return found
 
+    def _judged(self, pairs: list[tuple[Design, DesignSearch]]) -> int | None:
+        """Return how many sets are judged of these, the best by the estimate first; None: all."""
+        if self._most is None or not pairs:
+            return self._most
+        return min(self._most, max(MOST_SMOOTH, JUDGED_FRAMES // pairs[0][0].n))
+
     def _regained(self, judged: list[Judged], limit: float) -> list[Judged]:
         """Return judged sets and, of sets that are like them at other gains, the most promising.
 
@@ -247,7 +257,8 @@ class AccurateSets:
             if trial.time <= limit * (1 + SAME)
         ]
         trials.sort(key=lambda each: -each[0])
-        for expected, trial, search in trials[: self._most]:
+        pairs = [(trial, search) for _, trial, search in trials]
+        for expected, trial, search in trials[: self._judged(pairs)]:
             if expected >= NEAR_BEST * judged[0][0].levels:
                 judged.append((self.judge(search.shots(trial)), trial, search))
         return sorted(judged, key=lambda each: -each[0].levels)
