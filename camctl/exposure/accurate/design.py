@@ -71,9 +71,12 @@ class DesignSearch(TunedSets):
 
     def __init__(self, frames: FrameAccuracy, base: float, counts: tuple[int, int]) -> None:
         super().__init__(frames, base, counts)
-        self._coarse = np.ascontiguousarray(self.parts[:, :, ::COARSER])
         self._trace: list[Design] = []
         self._weights, self._traced_weight = list(WEIGHTS), math.inf
+
+    @cached_property
+    def _coarse(self) -> NDArray[np.float32]:
+        return np.ascontiguousarray(self.parts[:, :, ::COARSER])
 
     def exchanged(
         self,

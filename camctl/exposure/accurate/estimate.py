@@ -34,13 +34,10 @@ NODES = 96
 """Steps of u over which the error is averaged; with 1,024 the effective levels differ by 0.5 %."""
 
 EDGES = np.linspace(0.0, 1.0, NODES + 1)
-"""Edges of these steps."""
-
-WITHIN = 4
-"""Values of u within a step over which what a frame contributes is averaged: where the range is
-long, several levels of a dark frame lie within one step.  The ratios of the exact levels to the
-estimate then differ by 0.22 % between sets (one standard deviation; sensor standard, log 1:16,000,
-8 s), by 0.33 % with the middle of each step alone, and not by less with 8 values."""
+"""Edges of these steps.  What a frame contributes is averaged within each: where the range is long,
+several levels of a dark frame lie within one.  The ratios of the exact levels to the estimate then
+differ by 0.22 % between sets (one standard deviation; sensor standard, log 1:16,000, 8 s), by
+0.33 % with the middle of each step alone."""
 
 FEW_LEVELS = 15
 """Cameras of so few levels (photon counters of 1 to 4 bits) have errors as large as the range."""
@@ -67,27 +64,38 @@ _PHASE = np.linspace(-1.0, 1.0, 17)
 """Phases that are averaged, in halves of that width."""
 
 
-@dataclass(frozen=True, eq=False)
+_FINER = 4
+"""Steps to which one of the tables is divided for their integrals."""
+
+_NARROW = 1e-6
+"""By how much steps are widened in ln(e E): where the response jumps, or dark current is nearly all
+that a frame shows, their width is 0, and integrals in float64 have to differ."""
+
+
 class _Table:
     """One gain: rows of s, v, c, more, and what a second of DCNU adds to c, at x.
 
-    Attributes:
+    Args:
         rows: (R, X); without the last where nothing grows with time
         first: ln(x) of the first column
         dark: light that a second of dark current is to the quantiser, in the unit of x
     """
 
-    rows: NDArray[np.float32]
-    first: float
-    dark: float
+    def __init__(self, rows: FloatArray, first: float, dark: float) -> None:
+        self._first, self.dark = first, dark
+        places = np.arange((rows.shape[1] - 1) * _FINER + 1) / _FINER
+        fine = np.array([np.interp(places, np.arange(rows.shape[1]), row) for row in rows])
+        steps = (fine[:, 1:] + fine[:, :-1]) / 2 * (_STEP / _FINER)
+        self._integrals = np.concatenate([np.zeros((len(rows), 1)), steps.cumsum(axis=1)], axis=1)
 
-    def at(self, log_x: FloatArray) -> NDArray[np.float32]:
-        """Return the rows at ln(x), (R, ...)."""
-        place = np.clip((log_x - self.first) / _STEP, 0.0, self.rows.shape[1] - 1.001)
+    def means(self, log_x: FloatArray) -> NDArray[np.float32]:
+        """Return the means of the rows between edges of ln(x), (R, ..., N) from (..., N + 1)."""
+        log_x, size = log_x + _NARROW * np.arange(log_x.shape[-1]), self._integrals.shape[1]
+        place = np.clip((log_x - self._first) * (_FINER / _STEP), 0.0, size - 1.001)
         index = place.astype(np.intp)
-        share = (place - index).astype(np.float32)
-        low = self.rows[:, index]
-        return np.asarray(low + share * (self.rows[:, index + 1] - low))
+        low = self._integrals.take(index, axis=1)
+        low += (place - index) * (self._integrals.take(index + 1, axis=1) - low)
+        return np.asarray(np.diff(low) / np.diff(log_x), dtype=np.float32)
 
 
 class FrameAccuracy:
@@ -108,9 +116,10 @@ class FrameAccuracy:
         self.share = np.diff(edges)
         u, E = self.u, problem.desired.inverse(self.u)
         slope = problem.desired.slope(E)
-        within = (np.arange(WITHIN) + 0.5) / WITHIN
-        inside = edges[:-1, np.newaxis] + self.share[:, np.newaxis] * within
-        self._log_E = np.log(problem.desired.inverse(inside.ravel()))
+        ends = problem.desired.inverse(edges)
+        if not ends[0] > 0:  # a quarter of the step: its middle is the mean in ln(u)
+            ends[0] = problem.desired.inverse(edges[1:2] / 4)[0]
+        self._log_E = np.log(ends)
         self.weight = ((E * slope) ** 2).astype(np.float32)
         # Below the light that is seen at all, the error is that of a uniform u: u1^2 / 12 from 0 to
         # u1, which is the mean of u^2 / 4.
@@ -129,7 +138,7 @@ class FrameAccuracy:
         white = np.array([float(response.levels[-1])])
         sigma = deviation(response, white, frame) / max(float(response.slope(white)[0]), 1e-12)
         top = math.log(float((white + _BEYOND * sigma)[0])) + 2 * _STEP
-        first = min(float(self._log_E[0]), top - _STEP)
+        first = min(float(self._log_E[0]), top) - 2 * _STEP
         log_x = first + _STEP * np.arange(math.ceil((top - first) / _STEP) + 2)
         x = np.exp(log_x)
         slope = response.slope(x)
@@ -150,7 +159,7 @@ class FrameAccuracy:
         if self.unit_s:
             rows.append(unit * noise.dcnu_e_s * per_electron)
         dark = noise.dark_current_e_s * per_electron / (response.M + 1)
-        return _Table(np.array(rows, dtype=np.float32), first, dark)
+        return _Table(np.array(rows), first, dark)
 
     def _more_rows(self, signal: FloatArray, noise: FloatArray) -> list[FloatArray]:
         """Return what else adds up over frames, from their signals and noise in levels."""
@@ -166,16 +175,16 @@ class FrameAccuracy:
         """
         table, log_x = self._tables[gain], log_exposure[:, np.newaxis] + self._log_E
         if not self.unit_s:
-            return _averaged(table.at(log_x))
+            return table.means(log_x)
         time_s = (time * self.unit_s)[:, np.newaxis]
         if table.dark:
-            log_lit = np.logaddexp(log_x, np.log(np.maximum(table.dark * time_s, 1e-300)))
-            rows = table.at(log_lit)
-            rows[0] *= np.exp(log_x - log_lit)
+            dark = np.log(np.maximum(table.dark * time_s, 1e-300))
+            rows = table.means(np.logaddexp(log_x, dark))
+            rows[0] *= 1 / (1 + np.exp(dark - (log_x[:, 1:] + log_x[:, :-1]) / 2))
         else:
-            rows = table.at(log_x)
+            rows = table.means(log_x)
         rows[2] = np.hypot(rows[2], rows[-1] * time_s)
-        return _averaged(rows[:-1])
+        return rows[:-1]
 
     def mse(self, parts: NDArray[np.floating[Any]], step: int = 1) -> FloatArray:
         """Return the mean square error in u of summed parts, (...) from (3, ..., NODES).
@@ -220,11 +229,6 @@ class FrameAccuracy:
         else:
             np.fmin(error, self.largest[::step], out=error)
         return np.asarray(error)
-
-
-def _averaged(rows: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the means over each step of u, (..., NODES) from (..., NODES x WITHIN)."""
-    return np.asarray(rows.reshape(*rows.shape[:-1], -1, WITHIN).mean(axis=-1))
 
 
 def _near_black(

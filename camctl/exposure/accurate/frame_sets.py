@@ -67,7 +67,6 @@ class FrameSets:
     Attributes:
         log_exposure: (F,) ln(exposure) of the frames that sets are exchanged with, the options
         gain: (F,) index of the gain of each
-        parts: (3, F, NODES) what each contributes
         cost: (F,) what each takes
         bases: the indices of those that can be the shortest
     """
@@ -80,9 +79,13 @@ class FrameSets:
         self.costs = available.costs
         self.is_list = available.times is not None
         self.log_exposure, self.gain = self._options()
-        self.parts = self._parts(self.log_exposure, self.gain)
         self.cost = self._cost(self.log_exposure, self.gain)
         self.bases = np.flatnonzero(self.log_exposure <= SAME)
+
+    @cached_property
+    def parts(self) -> NDArray[np.float32]:
+        """What each of the options contributes, (3, F, NODES)."""
+        return self._parts(self.log_exposure, self.gain)
 
     def _options(self) -> tuple[FloatArray, NDArray[np.intp]]:
         """Return ln(exposure) and gain of the frames that sets are exchanged with."""

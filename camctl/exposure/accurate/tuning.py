@@ -211,12 +211,16 @@ class TunedSets(FrameSets):
     def neighbours(self, design: Design, limit: float, share: float) -> list[Design]:
         """Return a set with each time but the first `share` longer or shorter.
 
-        Where the set takes `limit`, they are scaled to it; none on a list of settings.
+        Where the set takes `limit`, they are scaled to it; none on a list of settings.  Those of
+        exposures without another one near come first: what light they alone show in few levels
+        depends most on where these levels are, which the estimate takes no account of.
         """
         if self.is_list or design.n == 1:
             return []
-        steps = np.eye(design.n - 1) * math.log1p(share)
-        moved = [self._moved(design, step) for step in (*steps, *-steps)]
+        gaps = np.append(np.diff(design.log_exposure), np.inf)
+        alone = np.argsort(-np.minimum(gaps[:-1], gaps[1:]), kind="stable")
+        steps = np.eye(design.n - 1)[alone] * math.log1p(share)
+        moved = [self._moved(design, sign * step) for step in steps for sign in (1, -1)]
         is_bound = design.time > limit * (1 - SAME_TIME)
         found = [self.fitted(each, limit) if is_bound else each for each in moved]
         return [each for each in found if each.time <= limit * (1 + SAME)]
