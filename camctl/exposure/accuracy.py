@@ -159,7 +159,7 @@ def most_accurate(
 ) -> Rated:
     """Return the most accurate set; where time does not bind, the shortest nearly as accurate."""
     best = search.within(limit)
-    if not near_tie or (limit < search.longest_of_use and not search.enumerated):
+    if not near_tie or (not search.enumerated and search.is_bound(limit)):
         return best
     levels = (1 - near_tie) * best.levels
     near = search.reaching(levels, best.time) or search.shortened(best, levels)

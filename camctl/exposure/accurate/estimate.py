@@ -19,7 +19,6 @@ included (`_near_black`).  Where noise does not dither the quantiser elsewhere, 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
