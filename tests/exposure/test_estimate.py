@@ -15,8 +15,9 @@ from camctl.exposure.accurate.judge import Judge
 from camctl.exposure.accurate.sets import NEAR_BEST
 from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures, Shot
 from camctl.model.noise import NoiseModel
-from camctl.model.response.camera import CameraResponse
+from camctl.model.response.camera import CameraResponse, linear_response
 from camctl.model.response.desired import desired_response
+from camctl.model.response.tabulated import tabulated_desired
 
 TIMES = 2.1 ** np.arange(7)
 """Shutter times of each set, in that of the shortest exposure: 2.9 s together."""
@@ -126,3 +127,35 @@ def test_derivatives_are_those_of_the_error(
         up, down = frames.mse(total + change), frames.mse(total - change)
         assert gradient[place] == pytest.approx(float(up - down) / (2 * small), rel=0.01)
     assert hessian == pytest.approx(hessian.T)
+
+
+@pytest.mark.parametrize("dark", [0.0, 200.0], ids=["no dark current", "dark current"])
+def test_a_step_has_the_mean_of_what_frames_contribute_within_it(dark: float) -> None:
+    """Several levels of a dark frame lie within one step: its middle alone shows one of them."""
+    noise = NoiseModel(conversion_e_per_dn=40.0, read_noise_e=((1.0, 3.0),), dark_current_e_s=dark)
+    problem = AccuracyProblem(
+        linear_response(8),
+        desired_response("log", 16_000.0),
+        noise,
+        AvailableExposures(unit_s=0.02),
+    )
+    exposures = np.array([1.0, 30.0, 300.0])
+    coarse, fine = (
+        FrameAccuracy(problem, np.linspace(0.0, 1.0, steps + 1)).parts(
+            np.log(exposures), 1.0, exposures
+        )
+        for steps in (96, 96 * 16)
+    )
+    means = fine.reshape(*coarse.shape, 16).mean(axis=-1)
+    for row, mean in zip(coarse[:2], means[:2], strict=True):
+        assert row == pytest.approx(mean, abs=2e-3 * float(mean.max()))
+
+
+def test_a_desired_response_that_jumps_has_finite_contributions() -> None:
+    """Where it jumps, a step of brightness has no width in irradiance."""
+    noise = NoiseModel(conversion_e_per_dn=40.0, read_noise_e=((1.0, 3.0),))
+    desired = tabulated_desired([0.01, 0.1, 0.1000001, 1.0], [0.0, 0.3, 0.7, 1.0])
+    frames = FrameAccuracy(AccuracyProblem(linear_response(8), desired, noise))
+    parts = frames.parts(np.log([1.0, 8.0]), 1.0, np.array([1.0, 8.0]))
+    assert np.isfinite(parts).all()
+    assert parts[0].max() < 3 * 255  # levels of a frame for one unit of ln(irradiance)

@@ -66,7 +66,7 @@ _PHASE = np.linspace(-1.0, 1.0, 17)
 _FINER = 4
 """Steps to which one of the tables is divided for their integrals."""
 
-_NARROW = 1e-6
+_NARROW = 1e-8
 """By how much steps are widened in ln(e E): where the response jumps, or dark current is nearly all
 that a frame shows, their width is 0, and integrals in float64 have to differ."""
 
