@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from camctl.errors import DataError
 from camctl.findings import Detail, Finding
-from camctl.interface.camera import Pixels
+from camctl.interface.camera import CameraInfo, Pixels
 from camctl.interface.colour import BT709, CameraColour
 from camctl.interface.controls import Layout
 from camctl.photographs.camera import Photograph
@@ -98,8 +98,8 @@ class PhotographFiles:
             self.photographs.append(photograph)
             if not any(self.taken_by):
                 self.taken_by = taken_by
-            if model := " ".join(filter(None, taken_by[:2])):
-                cameras.setdefault(model, path.name)
+            if any(taken_by[:2]):
+                cameras.setdefault(CameraInfo("", *taken_by, "").name, path.name)
             if found is None:
                 found = this
             _check_alike(path, this, self._paths[0], found)

@@ -44,7 +44,7 @@ def report_html(report: CaptureReport) -> str:
     """Return the picture, its exposures, its quality and what to know of it."""
     plan, achieved = report.plan, report.achieved
     facts = [
-        ("camera", f"{report.camera.make} {report.camera.model} ({report.camera.id})"),
+        ("camera", f"{report.camera.name} ({report.camera.id})"),
         *_desired(plan),
         (
             "effective levels",

@@ -78,7 +78,7 @@ def test_exposures_come_from_exif_data(run: Run) -> None:
 @pytest.mark.usefixtures("run")
 def test_photographs_of_different_cameras_are_named() -> None:
     names = []
-    for k, model in enumerate(("X-T0", "X-T0", "Phone", "X-T0")):
+    for k, model in enumerate(("X-T0", "X-T0", "Maker Phone", "X-T0")):
         pixels = photograph(2.0 ** (2 * k - 6), SCENE / 4)
         tags = [(271, 2, 0, "Maker", True), (272, 2, 0, model, True)]
         tifffile.imwrite(f"p{k}.tif", pixels, photometric="rgb", extratags=tags)
