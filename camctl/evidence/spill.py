@@ -23,7 +23,7 @@ from camctl.evidence.edges import Ranges
 from camctl.evidence.patch_errors import MEAN_RADIUS
 from camctl.evidence.residual import Limits, Pair
 from camctl.interface.camera import Pixels
-from camctl.system.picture_operations import connected_parts, dilated
+from camctl.system.picture_operations import connected_parts, counts_along_columns, dilated
 
 ACROSS = 2
 """Pixels across the columns that light spreads."""
@@ -255,9 +255,7 @@ def _darker(limits: Limits, short: Pixels, long: Pixels) -> NDArray[np.bool_]:
 
 def _mostly(marks: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return where more than half of the pixels around, along the columns, have marks."""
-    ends = np.zeros((_AROUND // 2 + 1, *marks.shape[1:]), np.int32)
-    sums = np.cumsum(np.concatenate([ends, marks, ends[1:]]), axis=0, dtype=np.int32)
-    return np.asarray(sums[_AROUND:] - sums[:-_AROUND] > _AROUND // 2)
+    return counts_along_columns(marks, _AROUND) > _AROUND // 2
 
 
 def _connected_runs(found: NDArray[np.bool_], source: NDArray[np.bool_]) -> NDArray[np.bool_]:

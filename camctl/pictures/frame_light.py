@@ -162,9 +162,7 @@ class FrameLight:
             frames: the same rows of each frame, from a multiple of 8 on, black included
             total: sum of the frames, clipped at white
         """
-        irradiance, deviation = (
-            plane_by_plane(np.empty(total.shape, np.float32)) for _ in range(2)
-        )
+        irradiance, deviation = (_planes(total.shape) for _ in range(2))
         clipped = [plane_by_plane(each) for each in self._clipped(frames)]
         for (part, _), memory in zip(self.parts, self._memories(), strict=True):
             *values, sums = (np.ravel(part.view(each)) for each in (*clipped, total))
@@ -226,6 +224,13 @@ class FrameLight:
             gains.append(estimator.gain[np.minimum(places, estimator.gain.size - 1)])
         ratios = np.concatenate(gains)
         return Quality(float(np.median(ratios)) if ratios.size else None, unknown / max(1, count))
+
+
+def _planes(shape: tuple[int, ...]) -> Floats32:
+    """Return an array for results, of which each channel is contiguous."""
+    if len(shape) == 2:
+        return np.empty(shape, np.float32)
+    return np.moveaxis(np.empty((shape[2], *shape[:2]), np.float32), 0, 2)
 
 
 def frame_light(

@@ -14,6 +14,7 @@ import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -206,6 +207,7 @@ class CaptureFolder:
         return found
 
 
+@lru_cache(maxsize=64)  # pictures are made of hundreds of parts of each frame
 def _header(begin: bytes, length: int) -> tuple[tuple[int, ...], np.dtype[Any], int]:
     """Return shape and type of the array in a file of that length, and where its samples begin."""
     stream = io.BytesIO(begin)

@@ -260,6 +260,21 @@ def count_from(samples: NDArray[Any], least: int) -> int:
     )
 
 
+def counts_along_columns(marks: NDArray[np.bool_], length: int) -> NDArray[np.integer[Any]]:
+    """Return how many of so many pixels around each one, along its column, have marks.
+
+    `length` is odd, and at most 255; there are no marks outside.
+    """
+    if (cv2 := opencv()) is not None:
+        counts = cv2.boxFilter(
+            marks.view(np.uint8), -1, (1, length), normalize=False, borderType=cv2.BORDER_CONSTANT
+        )
+        return np.asarray(counts, np.uint8).reshape(marks.shape)
+    ends = np.zeros((length // 2 + 1, *marks.shape[1:]), np.int32)
+    sums = np.cumsum(np.concatenate([ends, marks, ends[1:]]), axis=0, dtype=np.int32)
+    return np.asarray(sums[length:] - sums[:-length])
+
+
 def box_means(values: NDArray[Any], radius: int) -> Kernel:
     """Return the means over squares of 2 radius + 1 pixels a side, borders mirrored."""
     side = 2 * radius + 1
