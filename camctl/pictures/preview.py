@@ -202,13 +202,15 @@ def _averaged_in_the_dark(
 ) -> tuple[Floats, Floats, Floats]:
     """Return irradiance, noise, and the share without light; each averaged where noise is large.
 
-    Only such pixels are averaged, so that no bright light comes into the dark beside it.  The noise
-    is changed in place.
+    Only such pixels are averaged, so that no bright light comes into the dark beside it, and only
+    where half of those around are: others are few far from each other, of any light.  The noise is
+    changed in place.
     """
     irradiance = irradiance.copy()
     unlit = np.asarray(without / np.float32(ALL), np.float32)
     least, low, high = map(np.float32, _HIDDEN)
     has_unlit = bool(without.any())
+    dark: Floats = np.ones((), np.float32)
     for radius in _DARK_WINDOWS:
         # Beside samples without light the noise of the others decides which of them have some.
         doubt = largest_channel(noise)
@@ -220,7 +222,9 @@ def _averaged_in_the_dark(
         if doubt.max() <= low:
             continue
         hidden, counts = _share(doubt, low, high), _share(doubt, least, low)
+        hidden *= dark
         area = box_means(counts, radius)
+        dark = _share(area, np.float32(0), np.float32(0.5))
         np.maximum(area, LEAST_VARIANCE, out=area)
         for place in range(noise.shape[2]):
             values, errors = irradiance[..., place], noise[..., place]

@@ -188,6 +188,18 @@ def test_light_below_one_level_is_the_mean_of_the_area() -> None:
     assert shown.std(axis=0).mean() < 0.3 * np.ptp(columns)
 
 
+def test_single_pixels_of_large_error_are_not_the_mean_of_each_other() -> None:
+    """Frames contradict each other there: in bright and in dark light, far from each other."""
+    light = np.ones((80, 120, 3))
+    light[:, 60:] = 40.0
+    light *= np.exp(np.random.default_rng(5).normal(0, 0.02, light.shape))
+    noise = np.full(light.shape, 0.02, np.float32)
+    noise[5::16, 5::16] = 2.0
+    shown = tone_map(replace(light_of(light), noise=noise)).astype(int)
+    assert np.ptp(shown[:, 2:58], axis=(0, 1)).max() < 20
+    assert np.ptp(shown[:, 62:118], axis=(0, 1)).max() < 20
+
+
 def test_all_saturated_is_white_and_no_light_is_black() -> None:
     everywhere = np.ones((20, 30))
     assert (tone_map(light_of(everywhere, saturated=everywhere)) == 255).all()
