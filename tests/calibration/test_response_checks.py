@@ -59,6 +59,21 @@ def series_of(
     return series
 
 
+@pytest.mark.parametrize("power", some([2.2, 3.0], every=2))
+def test_true_exposures_are_not_accused_where_the_curve_is_hardly_known(power: float) -> None:
+    """Film as steep as curve 171 of the database, before a dark room: nearly all of it is black."""
+    rng, frames = np.random.default_rng(3), []
+    for exposure in STOPS:
+        charge = 2e4 * room() * exposure
+        charge = charge + np.sqrt(charge + 25) * rng.normal(size=charge.shape)
+        brightness = np.clip(charge / 2e4, 0, 1) ** power
+        frames.append(np.clip(np.floor(brightness * 256), 0, 255).astype(np.uint8))
+    with pytest.raises(DataError, match="would be known") as caught:
+        estimate_response(series_of(frames))
+    assert "contradict" not in str(caught.value)
+    assert "add a frame" in caught.value.hint
+
+
 @pytest.mark.parametrize("is_shot", [True, False])
 @pytest.mark.parametrize("is_same", [True, False])
 def test_only_those_who_gave_the_frames_can_correct_them(is_shot: bool, is_same: bool) -> None:
