@@ -28,9 +28,9 @@ NOISE_STEPS = 256
 #: clipping at black distort the histogram.
 LEAST_PIXELS, DARKEST = 20, 0.006
 #: Pixels of a frame that count as independent: neighbours share the blur of the lens, the block of
-#: a JPEG file and the errors of a response.  The number does not decide, as the fit measures what no
-#: curve explains: sRGB is found within 0.004 stops (median) at 6 MP with 2^16 and 2^22, at 24 MP with
-#: 2^19 and without a limit (tests/bench/bench_photographs.py, `--megapixels`).
+#: a JPEG file and the errors of a response.  The number does not decide, as the fit measures what
+#: no curve explains: sRGB is found within 0.004 stops (median) at 6 MP with 2^16 and 2^22, at 24 MP
+#: with 2^19 and without a limit (tests/bench/bench_photographs.py with --megapixels).
 INDEPENDENT = 1 << 19
 #: Frames whose exposures differ more are not matched: few pixels are in range in both.
 LARGEST_RATIO = 100.0
