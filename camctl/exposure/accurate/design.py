@@ -255,8 +255,8 @@ class DesignSearch(TunedSets):
                 trials = resized(current, limit, (weight, CHEAPER * weight))
                 if not trials:
                     break
-                scaled = (self.scaled(each, limit) for each in trials)
-                current = min(scaled, key=lambda each: each.mse)
+                fitted = (self.fitted(each, limit) for each in trials)
+                current = self.refitted(min(fitted, key=lambda each: each.mse), limit)
                 if not self.is_list:  # there it would change the number
                     current = self._improved(current, limit)
                 found.append(current)

@@ -205,7 +205,7 @@ class Front:
             found = most_accurate(
                 accurate_sets(without_costs(self._problem, self.controls), self._counts)
             )
-            return (self._point(found, is_exact=True),)
+            return (self._point(found),)
 
         return self._kept("most accurate", find)[0]
 
