@@ -21,17 +21,17 @@ from camctl.exposure.random_sets import RandomSets
 from camctl.exposure.settings_grid import SAME
 from camctl.model.response.camera import FloatArray, every_nth_level
 
-STARTS, KEPT, MOVES, ROUNDS = 48, 8, 24, 12
+STARTS, KEPT, MOVES, ROUNDS = 48, 8, 24, 24
 """Random sets, sets that are improved, changes of each, and rounds, at most; half as many sets and
-changes where the search is quick."""
+changes, and of the rounds, where the search is quick."""
 
-MOST_SORTED = 6_000_000
-"""Levels that are sorted for a number of exposures, at most: about 0.1 s."""
+MOST_SORTED = 12_000_000
+"""Levels that are sorted for a number of exposures, at most: about 0.2 s."""
 
 COUNTS = (2, 3, 4, 6, 8, 11, 16)
 """Numbers of exposures that are tried first."""
 
-QUICK, TRIED, EVEN = 0.1, 2, 6
+QUICK, TRIED, EVEN = 1 / 20, 2, 6
 """Share of that work for each of them; numbers that are then searched at length; and starts of
 equal factors."""
 
@@ -91,7 +91,9 @@ class _Found:
 def _best_of(search: DesignSearch, n: int, design: Design, limit: float, share: float) -> _Found:
     """Return the best sets of n exposures; `share` is that of `MOST_SORTED`."""
     problem = search.problem
-    most, part = (MAX_LEVELS, 1.0) if share == 1 else (QUICK_LEVELS, 0.5)
+    most, part, rounds = MAX_LEVELS, 1.0, ROUNDS
+    if share < 1:
+        most, part, rounds = QUICK_LEVELS, 0.5, ROUNDS // 2
     finer = 2 ** max(0, math.ceil(math.log2((problem.response.M + 1) / (most + 1))))
     response = every_nth_level(problem.response, finer)
     score = BatchScore(ExposureProblem(response, problem.desired, n, Objective(kind="levels")))
@@ -104,7 +106,7 @@ def _best_of(search: DesignSearch, n: int, design: Design, limit: float, share: 
     sets = _in_time(search, moves.normalised(starts), limit)
     scores = score(np.exp(sets))
     evaluations = share * MOST_SORTED / (n * response.M)
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         if score.evaluations > evaluations:
             break
         best = np.argsort(scores, kind="stable")[:KEPT]
