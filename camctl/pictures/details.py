@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from camctl.interface.camera import CameraInfo, Pixels
 from camctl.interface.colour import CameraColour
 from camctl.interface.controls import ExposureControls, ExposureSetting, Layout
+from camctl.pictures.mosaic import colour_of
 from camctl.pictures.preview import srgb_codes
-from camctl.pictures.render import colour_of
 from camctl.system.number_text import range_text, time_text
 from camctl.system.picture_operations import reduced_by_area
 

@@ -15,7 +15,8 @@ from camctl.interface.colour import CameraColour
 from camctl.interface.controls import Layout
 from camctl.pictures.details import PictureDetails
 from camctl.pictures.metadata import tiff_tags
-from camctl.pictures.render import Rendering, colour_of
+from camctl.pictures.mosaic import colour_of
+from camctl.pictures.render import Rendering
 
 #: Photometric interpretation of a mosaic (TIFF/EP).
 _CFA = 32803

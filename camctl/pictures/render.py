@@ -27,11 +27,19 @@ from camctl.pictures.colour import deviation_in_bt709, in_gamut, to_bt709
 from camctl.pictures.development import Development
 from camctl.pictures.frame_light import FrameLight
 from camctl.pictures.ghosts.replacement import Ghosts
+from camctl.pictures.mosaic import (
+    DEVIATION_BITS,
+    LETTERS,
+    MOST_BITS,
+    Planes,
+    demosaic,
+    demosaic_deviation,
+    demosaic_mask,
+    rounded,
+)
 from camctl.system.picture_operations import (
     channels_apart,
     channels_together,
-    correlated,
-    dilated,
     plane_by_plane,
 )
 
@@ -47,70 +55,13 @@ STRIP_SAMPLES = 1 << 21
 #: Rows of a strip at most: radiance.exr is compressed in blocks of 32, two of them at once.
 _STRIP_ROWS = 64
 
-_LETTERS = "RGB"
-#: Bilinear weights: every second pixel is green, every fourth one red or blue.
-_GREEN_WEIGHTS = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]], np.float32) / 4
-_RED_BLUE_WEIGHTS = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32) / 4
-#: Bits kept of a float32's fraction: standard deviations are exact to 0.1 %.  Of irradiance as many
-#: as make the rounding 1/20 of the standard deviation, which adds 0.1 % to it, from 8 (0.2 %) to 17
-#: (4e-6).  Files are smaller, and are written in half the time.
-_DEVIATION_BITS, _LEAST_BITS, _MOST_BITS, _ROUNDING = 9, 8, 17, 1 / 20
-#: Stands for an infinite standard deviation while they are interpolated; its square is finite.
-_LARGEST_DEVIATION = np.float32(1e18)
+#: Bits kept of the fraction of irradiance: as many as make the rounding 1/20 of the standard
+#: deviation, which adds 0.1 % to it, from 8 (0.2 %) up.  Files are smaller, and are written in half
+#: the time.
+_LEAST_BITS, _ROUNDING = 8, 1 / 20
 
 FrameRows = Callable[[int, slice], Pixels]
 """Returns some rows of a frame by its position, black included."""
-
-
-def colour_of(layout: Layout, row: int, column: int) -> int:
-    """Return which of R, G, B (0, 1, 2) a mosaic has at (row, column)."""
-    return _LETTERS.index(layout.value.upper()[2 * (row % 2) + column % 2])
-
-
-#: The channels of a picture, (rows, columns) each: one, or R, G and B.
-_Planes = tuple[NDArray[np.float32], ...]
-
-
-def demosaic(
-    mosaic: NDArray[np.float32], layout: Layout, first_row: int, bits: int = _MOST_BITS
-) -> _Planes:
-    """Return R, G and B by bilinear interpolation of (rows, columns), borders mirrored.
-
-    OpenCV's own demosaicing takes integers only, which would lose levels; this one keeps linear
-    light linear, but for the rounding to so many bits.  `first_row` is the row of the whole frame
-    at which `mosaic` begins.
-    """
-    colours = _interpolated(mosaic, layout, first_row, _GREEN_WEIGHTS, _RED_BLUE_WEIGHTS)
-    return tuple(_rounded(each, bits) for each in colours)
-
-
-def demosaic_deviation(deviation: NDArray[np.float32], layout: Layout, first_row: int) -> _Planes:
-    """Return the standard deviations of what `demosaic` interpolates.
-
-    The errors of neighbouring pixels are independent, so that their variances add with the squares
-    of the weights.  The error of interpolation itself is not known.
-    """
-    # A finite number stands for an infinite one: the product with a weight of 0 is 0.
-    finite = np.minimum(deviation, _LARGEST_DEVIATION)
-    unknown = np.isnan(deviation)
-    if has_unknown := bool(unknown.any()):
-        finite[unknown] = 0.0
-        unknown = dilated(unknown.view(np.uint8), (3, 3)).view(np.bool_)
-    found = _interpolated(finite**2, layout, first_row, _GREEN_WEIGHTS**2, _RED_BLUE_WEIGHTS**2)
-    for each in found:
-        np.sqrt(each, out=each)
-        each[each > _LARGEST_DEVIATION / 100] = np.inf
-        if has_unknown:
-            each[unknown] = np.nan
-    return tuple(_rounded(each, _DEVIATION_BITS) for each in found)
-
-
-def _rounded(values: NDArray[np.float32], bits: int) -> NDArray[np.float32]:
-    """Return positive values rounded to so many bits of their fraction."""
-    dropped = np.finfo(np.float32).nmant - bits
-    found = values.view(np.uint32) + np.uint32(1 << (dropped - 1))
-    found &= np.uint32(0xFFFFFFFF << dropped & 0xFFFFFFFF)
-    return np.asarray(found.view(np.float32))
 
 
 def as_halves(values: NDArray[np.float32]) -> NDArray[np.float16]:
@@ -122,36 +73,6 @@ def as_halves(values: NDArray[np.float32]) -> NDArray[np.float16]:
     bits += np.uint32(1 << 12)  # rounds what float16 does not have exactly
     bits >>= np.uint32(13)
     return (bits.astype(np.uint16) & np.uint16(0x7FFF)).view(np.float16)  # infinity, too
-
-
-def _interpolated(
-    mosaic: NDArray[np.float32],
-    layout: Layout,
-    first_row: int,
-    green: NDArray[np.floating[Any]],
-    red_blue: NDArray[np.floating[Any]],
-) -> _Planes:
-    """Return each colour's samples, weighted by these kernels."""
-    colours = []
-    for channel in range(3):
-        plane = np.zeros_like(mosaic)
-        for row in (0, 1):
-            for column in (0, 1):
-                if colour_of(layout, first_row + row, column) == channel:
-                    plane[row::2, column::2] = mosaic[row::2, column::2]
-        kernel = green if channel == 1 else red_blue
-        # Mirroring without repeating the border keeps the colour of every mirrored pixel.
-        colours.append(correlated(plane, kernel, repeats_border=False))
-    return tuple(colours)
-
-
-def demosaic_mask(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a mosaic's mask for each channel: a mark covers all pixels it contributed to.
-
-    The value of such a pixel depends on the marked sample, in at least one channel.  More pixels
-    than samples are marked: up to nine for one.
-    """
-    return dilated(mask, (3, 3))
 
 
 def encode(desired: DesiredResponse, E: NDArray[Any]) -> NDArray[np.uint16]:
@@ -215,9 +136,9 @@ class Strip:
         mosaic: the irradiance before it was interpolated, float32; None: there is no mosaic
     """
 
-    irradiance: _Planes
-    light: _Planes
-    deviation: _Planes
+    irradiance: Planes
+    light: Planes
+    deviation: Planes
     mask: tuple[NDArray[np.uint8], ...]
     code: NDArray[np.uint16]
     mosaic: NDArray[np.float32] | None = None
@@ -271,7 +192,7 @@ class Rendering:
     def deviations_are_halves(self) -> bool:
         """Whether float16 has all standard deviations of the pictures.
 
-        It has those of at least 2^-15 exactly, since they have `_DEVIATION_BITS` bits; of few
+        It has those of at least 2^-15 exactly, since they have `DEVIATION_BITS` bits; of few
         samples, as between levels that nearly coincide, they are less than `deviations` says.
         """
         least, most = self.light.deviations
@@ -283,13 +204,13 @@ class Rendering:
     def _bits(self) -> int:
         """Bits of the fraction of irradiance: the rounding is at most 2^-bits / sqrt(12) of it."""
         least = self.light.least_relative * _ROUNDING * math.sqrt(12)
-        bits = math.ceil(-math.log2(least)) if least > 0 else _MOST_BITS
-        return min(_MOST_BITS, max(_LEAST_BITS, bits))
+        bits = math.ceil(-math.log2(least)) if least > 0 else MOST_BITS
+        return min(MOST_BITS, max(_LEAST_BITS, bits))
 
     @property
     def channels(self) -> str:
         """Names of the channels: "Y" or "RGB"."""
-        return "Y" if self.layout is Layout.MONO else _LETTERS
+        return "Y" if self.layout is Layout.MONO else LETTERS
 
     def picture_shape(self, total: NDArray[np.unsignedinteger]) -> tuple[int, ...]:
         """Return the shape of the pictures: (rows, columns) or (rows, columns, 3)."""
@@ -349,12 +270,12 @@ class Rendering:
             coded = self._coded(shown, marked, frames, part)
             lights = channels_apart(estimate), channels_apart(bare), channels_apart(deviation)
             return self._converted(*lights, masks, channels_apart(coded))
-        irradiance = tuple(_rounded(each, self._bits) for each in channels_apart(estimate))
+        irradiance = tuple(rounded(each, self._bits) for each in channels_apart(estimate))
         light = irradiance if bare is estimate else channels_apart(bare)
         code = self._values("code", shown)
         if moved is not None and moved.any():
             code[moved] = encode(self.desired, self._coded(shown, marked, frames, part)[moved])
-        errors = tuple(_rounded(each, _DEVIATION_BITS) for each in channels_apart(deviation))
+        errors = tuple(rounded(each, DEVIATION_BITS) for each in channels_apart(deviation))
         return Strip(irradiance, light, errors, masks, channels_together(channels_apart(code)))
 
     def _coded(
@@ -388,11 +309,11 @@ class Rendering:
 
     def _converted(
         self,
-        irradiance: _Planes,
-        light: _Planes,
-        deviation: _Planes,
+        irradiance: Planes,
+        light: Planes,
+        deviation: Planes,
         mask: tuple[NDArray[np.uint8], ...],
-        shown: _Planes,
+        shown: Planes,
     ) -> Strip:
         """Return a strip in linear BT.709; irradiance and what is shown are the camera's R, G, B.
 
@@ -404,11 +325,10 @@ class Rendering:
         lit = found if light is irradiance else to_bt709(self.colour, light, full)
         code = to_bt709(self.colour, shown, (1.0,) * 3)
         return Strip(
-            tuple(_rounded(each, self._bits) for each in found),
+            tuple(rounded(each, self._bits) for each in found),
             in_gamut(lit, light),
             tuple(
-                _rounded(each, _DEVIATION_BITS)
-                for each in deviation_in_bt709(self.colour, deviation)
+                rounded(each, DEVIATION_BITS) for each in deviation_in_bt709(self.colour, deviation)
             ),
             mask,
             encode(self.desired, channels_together(code)),
@@ -449,7 +369,7 @@ class Rendering:
         irradiance, the same without hot pixels, and its standard deviation.
         """
 
-        def colours(values: NDArray[np.float32], bits: int) -> _Planes:
+        def colours(values: NDArray[np.float32], bits: int) -> Planes:
             planes = demosaic(values, self.layout, first, bits)
             return tuple(each[inner] for each in planes)
 
@@ -465,14 +385,14 @@ class Rendering:
                 irradiance if bare is estimate else colours(bare, self._bits),
                 tuple(each[inner] for each in deviation),
                 (mask[inner],) * 3,
-                colours(coded, _MOST_BITS),
+                colours(coded, MOST_BITS),
             )
         return Strip(
             irradiance,
             irradiance if bare is estimate else colours(bare, self._bits),
             tuple(each[inner] for each in deviation),
             (mask[inner],) * 3,
-            encode(self.desired, channels_together(colours(coded, _MOST_BITS))),
+            encode(self.desired, channels_together(colours(coded, MOST_BITS))),
         )
 
     def _values(self, name: str, sums: NDArray[np.unsignedinteger]) -> NDArray[Any]:
@@ -498,7 +418,7 @@ class Rendering:
         colours = self.layout.value.upper()
         planes = zip(colours, self.layout.planes(found), self.layout.planes(sums), strict=True)
         for colour, values, plane in planes:
-            values[...] = tables[_LETTERS.index(colour)].take(plane)
+            values[...] = tables[LETTERS.index(colour)].take(plane)
         return found
 
     def _without_hot_pixels(

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.model.response.desired import DesiredResponse
-from camctl.pictures.render import FULL_CODE, colour_of
+from camctl.pictures.mosaic import colour_of
+from camctl.pictures.render import FULL_CODE
 from camctl.records.report import CaptureReport
 from camctl.sim.camera import SimulatedCamera
 from camctl.sim.scenes.view import View

@@ -12,7 +12,8 @@ from camctl.captures.sequencer import capture
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.controls import Layout
 from camctl.model.response.desired import desired_response
-from camctl.pictures.render import FULL_CODE, HOT, SATURATED, colour_of
+from camctl.pictures.mosaic import colour_of
+from camctl.pictures.render import FULL_CODE, HOT, SATURATED
 from camctl.profiles.calibrated import with_profile
 from camctl.records.report import CaptureReport
 from camctl.sim.camera import SimulatedCamera

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import imagecodecs
 import numpy as np
 import tifffile
 from numpy.typing import NDArray
@@ -61,6 +62,7 @@ def damaged(folder: Path) -> list[str]:
         ".npy": np.load,
         ".tiff": tifffile.imread,
         ".exr": read_radiance,
+        ".avif": imagecodecs.imread,
         ".raw": lambda path: np.frombuffer(path.read_bytes(), np.uint8).reshape(16, 24),
     }
     for path in sorted(folder.rglob("*")):

@@ -14,6 +14,7 @@ from camctl.model.inverse import Posterior
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import linear_response
 from camctl.model.response.desired import desired_response
+from camctl.pictures.mosaic import colour_of, demosaic, demosaic_deviation, demosaic_mask
 from camctl.pictures.render import (
     CONTRADICTING,
     DARK,
@@ -22,10 +23,6 @@ from camctl.pictures.render import (
     SATURATED,
     Tables,
     as_halves,
-    colour_of,
-    demosaic,
-    demosaic_deviation,
-    demosaic_mask,
 )
 
 MOSAICS = [layout for layout in Layout if layout.is_mosaic]
