@@ -30,6 +30,10 @@ JPEG_ERROR = 0.05
 #: Cb, of which blue has 1.77 times as much: sqrt(2 (1 + (1.77 * 1.1)^2) / 12).
 JPEG_BLOCK_ERROR = 0.9
 
+FILE_OFFSET = 2.0
+"""Standard deviation of the offset of a photograph, which all of its samples share, levels of 255:
+JPEG files whose exposures are halved from one to the next differ by -4 to +2 levels (taipei)."""
+
 RESPONSE_ERROR = 0.005
 """Standard deviation of the relative error of a response: twice the linearity error (EMVA 1288)
 that data sheets of machine-vision cameras state, 0.2 to 0.3 %."""

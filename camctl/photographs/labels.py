@@ -21,11 +21,10 @@ from camctl.errors import DataError
 from camctl.evidence.patches import Patches
 from camctl.findings import Detail, Finding
 from camctl.model.response.camera import FloatArray
-from camctl.model.sensor import SensorModel
+from camctl.model.sensor import FILE_OFFSET, SensorModel
 from camctl.photographs.camera import Photograph, at, detailed
 from camctl.photographs.ratios import (
     MOST_CORRECTED,
-    OFFSET,
     SIGMAS,
     STEADY,
     exposure_runs,
@@ -82,7 +81,7 @@ def check_reversed(
     means = [float(each.mean()) * 255 / full for each in patches]
     by_label = sorted(range(len(photographs)), key=lambda k: photographs[k].exposure)
     steps = [means[longer] - means[shorter] for shorter, longer in pairwise(by_label)]
-    clear = [step for step in steps if abs(step) > SIGMAS * math.sqrt(2) * OFFSET]
+    clear = [step for step in steps if abs(step) > SIGMAS * math.sqrt(2) * FILE_OFFSET]
     if len(clear) > 1 and max(clear) < 0:
         raise DataError(
             "the exposures of the photographs are in the reverse order: the longer they are, the "

@@ -23,13 +23,12 @@ from camctl.evidence.patches import Patches
 from camctl.evidence.ratios import comparable_frames, estimate_ratios
 from camctl.findings import Detail, Finding
 from camctl.model.response.camera import FloatArray
-from camctl.model.sensor import SensorModel
+from camctl.model.sensor import FILE_OFFSET, SensorModel
 from camctl.photographs.camera import Photograph
 
-#: Standard deviations of the offset of a photograph and of the errors that patches of one
-#: brightness share beside it, levels of 255: JPEG files whose exposures are halved from one to the
-#: next differ by -4 to +2 levels (taipei).  Of another error, relative, lest one cell decides.
-OFFSET, _OWN, _SCATTER = 2.0, 1.0, 0.02
+#: Standard deviations of the errors that patches of one brightness share beside the offset of a
+#: photograph, levels of 255; and of another error, relative, lest one cell decides.
+_OWN, _SCATTER = 1.0, 0.02
 #: Brightness, share of full scale, from which on colours are compared: below, JPEG files of low
 #: quality change a colour by 3 to 4 levels (taipei, street2), a tenth of it.
 _DIM = 1 / 8
@@ -110,7 +109,7 @@ def pair_ratio(
     means, g = (np.array([float(np.median(each[of])) for of in cells]) for each in (logs, slopes))
     rows = np.stack([np.ones(g.size), g], axis=1)
     weights = 1 / (np.square(_OWN * g) + _SCATTER**2)
-    prior = np.diag([0.0, OFFSET**-2.0])
+    prior = np.diag([0.0, FILE_OFFSET**-2.0])
     covariance = np.linalg.inv((rows.T * weights) @ rows + prior)
     found = covariance @ (rows.T @ (weights * means))
     residual = float(weights @ np.square(means - rows @ found))
@@ -119,7 +118,7 @@ def pair_ratio(
     shown = max(_LEAST_SHOWN, (1 + residual) / g.size)
     covariance = np.linalg.inv((rows.T * weights / shown) @ rows + prior)
     log, error = float(found[0]), SIGMAS * math.sqrt(float(covariance[0, 0]))
-    is_one = np.mean(np.abs(logs - log) < _ALIKE + 2 * OFFSET * slopes) >= _MAJORITY
+    is_one = np.mean(np.abs(logs - log) < _ALIKE + 2 * FILE_OFFSET * slopes) >= _MAJORITY
     return PairRatio(log, error, SIGMAS * median(of_curve)) if is_one else None
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from camctl.evidence.chroma import brightness, chroma_variance
 from camctl.evidence.lost_detail import SIDE, LostDetail
 from camctl.model.light import Floats32, LightTables
-from camctl.model.sensor import CLIPPING_SIGMAS
+from camctl.model.sensor import CLIPPING_SIGMAS, FILE_OFFSET
 from camctl.system.picture_operations import box_means
 
 #: Variance of colours, levels squared, above which it counts: that of rounding is 0.1 to 0.3.
@@ -342,7 +342,8 @@ def _contradiction(
     """Return how far the light of frames is apart where they contradict each other, else 0.
 
     Their errors are those at the light of each frame.  At the light of all, which the longest
-    frames decide, errors of shorter ones are smaller or larger than they are.
+    frames decide, errors of shorter ones are smaller or larger than they are.  Each frame may have
+    another offset, which in the shortest ones is a multiple of the light of what is dark.
 
     Args:
         tables: of the colour
@@ -352,14 +353,17 @@ def _contradiction(
         unseen: what may be saturated, of each frame
     """
     reach = np.float32(CLIPPING_SIGMAS)
+    sensor = tables.sensor
+    offset = (FILE_OFFSET / 255 * (sensor.white - sensor.black)) ** 2
     shape = values[0].shape
     low, brightest = (np.zeros(shape, np.float32) for _ in range(2))
     high, darkest = (np.full(shape, _BEYOND) for _ in range(2))
     for at, sample in samples.items():
         bins = tables.bins(tables.irradiance[at])
-        error = errors[at] * tables.steps[at].take(bins).take(values[at])
+        step = tables.steps[at].take(bins).take(values[at])
         noise = tables.variances[at].take(bins).take(values[at])
-        reached = reach * np.sqrt(noise + np.square(error))
+        shared = np.square(step) * (np.square(errors[at]) + np.float32(offset))
+        reached = reach * np.sqrt(noise + shared)
         seen, beyond = ~unseen[at], unseen[at] * _BEYOND
         low = np.maximum(low, (sample - reached) * seen)
         high = np.minimum(high, sample + reached + beyond)

@@ -304,6 +304,23 @@ def test_detail_that_all_jpeg_files_lose_alike_is_part_of_the_standard_deviation
     assert 0.62 < np.mean(z < 0.99446) < 0.76
 
 
+def test_the_offset_of_a_short_exposure_contradicts_no_longer_one() -> None:
+    """Four levels of it are 20 times the light of a wall; most of that was called dark."""
+    real, exposures, light = camera("srgb"), tuple(4.0**k for k in range(7)), windows() / 64
+    frames = shot(light, exposures, real, FrameNoise(30.0, 0.3))
+    lossy = []
+    for each in frames:
+        data = cv2.imencode(".jpg", each[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 95])[1]
+        lossy.append(np.asarray(cv2.imdecode(data, 1), np.uint8)[..., ::-1])
+    for each, offset in zip(lossy, (4, 3, 2), strict=False):
+        np.maximum(each, offset, out=each)
+    found = camctl.combine(lossy, exposures, response=real)
+    usable = (found.mask & 3 == 0) & np.isfinite(found.sd)
+    assert usable.mean() > 0.9
+    assert np.median((found.sd / light)[usable]) < 0.2
+    assert np.median((np.abs(found.irradiance - light) / light)[usable]) < 0.1
+
+
 def test_two_levels_are_few_and_enough() -> None:
     frames = [np.array([[8, 9], [10, 9]], np.uint8), np.array([[8, 10], [10, 9]], np.uint8)]
     found = camctl.combine(frames, (1.0, 1.5), black=8, white=10, noise=FrameNoise(math.inf, 0.0))
