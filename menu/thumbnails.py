@@ -73,7 +73,7 @@ def frame_picture(frame: Frame, layout: Layout) -> Picture:
     elif layout is Layout.RGB:
         colours = small
     else:
-        from camctl.pictures.render import colour_of
+        from camctl.pictures.mosaic import colour_of
 
         places = [(row, column) for row in (0, 1) for column in (0, 1)]
         owners = [colour_of(layout, *place) for place in places]
