@@ -10,7 +10,7 @@ there without Y, the more of it changes within cells the more of Y does.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -104,12 +104,13 @@ def patch_chroma_variance(patches: Patches) -> NDArray[np.float32]:
 
 def patch_brightness(patches: Patches) -> NDArray[np.float32]:
     """Return Y of patches of red, green and blue, (patches, side, side)."""
-    return brightness(np.moveaxis(_patch_squares(patches), 0, -1))
+    return brightness(_patch_squares(patches))
 
 
-def brightness(pixels: NDArray[Any]) -> NDArray[np.float32]:
-    """Return Y of pixels, (..., 3)."""
-    return np.asarray(sum(pixels[..., k] * _OF_Y[k] for k in range(3)), np.float32)
+def brightness(colours: Iterable[NDArray[Any]]) -> NDArray[np.float32]:
+    """Return Y of red, green and blue, in the shape of each."""
+    weighted = (each * weight for each, weight in zip(colours, _OF_Y, strict=True))
+    return np.asarray(sum(weighted), np.float32)
 
 
 NOISE_OF_Y = float(np.sqrt(np.square(_OF_Y).sum()))
@@ -132,7 +133,7 @@ def _lost_chroma(
         detail: variance of Y within the cells, see `_detail`
         mean: returns the mean over the cells around each one, or over all
     """
-    Y = _OF_Y[0] * red + _OF_Y[1] * green + _OF_Y[2] * blue
+    Y = brightness((red, green, blue))
     middle = mean(Y)
     spread = np.maximum(mean(Y * Y) - np.square(middle), 0) + np.float32(_NO_CONTRAST)
     # Without the root, sharp pictures lose more than that and soft ones less.

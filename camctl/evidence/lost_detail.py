@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,17 +40,6 @@ _EXAMPLE = (
     (49, 64, 78, 87, 103, 121, 120, 101),
     (72, 92, 95, 98, 112, 100, 103, 99),
 )
-
-
-def _cosines() -> NDArray[np.float32]:
-    """Return the cosine transform of a block (ITU-T T.81, A.3.3), (64 pixels, 64 frequencies)."""
-    pixel, frequency = np.arange(SIDE), np.arange(SIDE)[:, np.newaxis]
-    rows = np.cos((2 * pixel + 1) * frequency * (math.pi / (2 * SIDE))) * math.sqrt(2 / SIDE)
-    rows[0] *= math.sqrt(0.5)
-    return np.asarray(np.kron(rows, rows).T, np.float32)
-
-
-_COSINES = _cosines()
 
 #: Mean cosine of frequencies in steps: a step of 2 has 0.55, as rounded pixels have errors of 0.35,
 #: and what is no step has 0 with an error of 0.07, if so many frequencies show it.
@@ -168,7 +158,16 @@ def lost_details(
 
 def _frequencies(brightness: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the frequencies of blocks, (blocks, 64)."""
-    return np.asarray((brightness - np.float32(128)).reshape(-1, SIDE * SIDE) @ _COSINES)
+    return np.asarray((brightness - np.float32(128)).reshape(-1, SIDE * SIDE) @ _cosines())
+
+
+@lru_cache(maxsize=1)
+def _cosines() -> NDArray[np.float32]:
+    """Return the cosine transform of a block (ITU-T T.81, A.3.3), (64 pixels, 64 frequencies)."""
+    pixel, frequency = np.arange(SIDE), np.arange(SIDE)[:, np.newaxis]
+    rows = np.cos((2 * pixel + 1) * frequency * (math.pi / (2 * SIDE))) * math.sqrt(2 / SIDE)
+    rows[0] *= math.sqrt(0.5)
+    return np.asarray(np.kron(rows, rows).T, np.float32)
 
 
 def _classes(kept: NDArray[np.bool_]) -> NDArray[np.intp]:

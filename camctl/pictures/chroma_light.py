@@ -90,7 +90,7 @@ def share_chroma_errors(
 
 def _by_block(detail: LostDetail, frame: NDArray[Any]) -> NDArray[np.float32]:
     """Return what a file loses of each cell, levels squared, (rows / 2, columns / 2)."""
-    blocks = detail.of_picture(brightness(frame))
+    blocks = detail.of_picture(brightness(np.moveaxis(frame, 2, 0)))
     cells = blocks.repeat(SIDE // 2, axis=0).repeat(SIDE // 2, axis=1)
     return cells[: frame.shape[0] // 2, : frame.shape[1] // 2]
 

@@ -39,6 +39,7 @@ from camctl.model.response.desired import DesiredResponse, desired_response
 from camctl.model.sensor import CLIPPING_SIGMAS, JPEG_ERROR, SensorModel
 from camctl.model.step_posterior import FrameSet
 from camctl.pictures.chroma_light import NOTABLE, share_chroma_errors
+from camctl.pictures.mosaic import LETTERS, colour_of
 from camctl.system.picture_operations import plane_by_plane
 
 #: Standard deviations that are more uncertain than by this share are not stated: their intervals
@@ -51,8 +52,6 @@ _STAND_IN_E = (CLIPPING_SIGMAS / JPEG_ERROR) ** 2
 
 #: Of the samples of a patch every so many-th shows how exact the light is: 40,000 of a picture.
 _EVERY = 8
-
-_LETTERS = "RGB"
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +106,7 @@ def parts_of(layout: Layout, responses: Sequence[CameraResponse]) -> list[Part]:
     return [
         Part(
             lambda each, row=row, column=column: each[row::2, column::2],  # type: ignore[misc]
-            responses[_LETTERS.index(layout.value.upper()[2 * row + column])],
+            responses[colour_of(layout, row, column)],
         )
         for row in (0, 1)
         for column in (0, 1)
@@ -262,7 +261,7 @@ def frame_light(
     is_sum = method == "sum" or (noise is not None and is_noiseless(noise))
     plain, least = None, [0.0] * len(parts)
     highest = SensorModel(parts[0].response, black).highest(None)
-    if not is_sum and len(parts) == len(_LETTERS) and has_few_chroma_samples(samples, highest):
+    if not is_sum and len(parts) == len(LETTERS) and has_few_chroma_samples(samples, highest):
         least = ROUNDING.tolist()
         plain = np.all([patch_chroma_variance(each) <= NOTABLE for each in samples], axis=0)
     found, noises = [], []

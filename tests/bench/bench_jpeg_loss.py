@@ -74,11 +74,11 @@ def detail(pixels: NDArray[np.float32], quality: int) -> str:
         kept(pixels + np.random.default_rng(seed).normal(0, _NOISE, pixels.shape), quality)
         for seed in (1, 2)
     ]
-    truth = brightness(pixels)
-    errors = [blocks_of(brightness(each) - truth, SIDE) for each in files]
+    truth = brightness(np.moveaxis(pixels, 2, 0))
+    errors = [blocks_of(brightness(np.moveaxis(each, 2, 0)) - truth, SIDE) for each in files]
     inside = blocks_of(np.all((pixels > 12) & (pixels < 245), axis=2), SIDE).all(axis=(2, 3))
     real = max(0.0, float((errors[0] * errors[1]).mean(axis=(2, 3))[inside].mean()))
-    Y = brightness(files[0])
+    Y = brightness(np.moveaxis(files[0], 2, 0))
     details = lost_details(
         [blocks_of(Y, SIDE).reshape(-1, SIDE, SIDE)], [np.full(LEVELS, NOISE_OF_Y * _NOISE)]
     )
