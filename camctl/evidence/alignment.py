@@ -13,14 +13,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.model.sensor import JPEG_ERROR
-from camctl.system.picture_operations import required_opencv
+from camctl.system.picture_operations import level_counts, required_opencv
 
 #: Blocks along each side of a picture, and contour pixels of each that are compared at most.
 _BLOCKS, _POINTS = 8, 600
@@ -98,14 +98,18 @@ def displacement(short: _Floats, long: _Floats) -> _Vector | None:
     for power in range(len(levels) - 1, -1, -1):
         fits = [_fitted(levels[power], place / 2**power, 2) for place in places]
         fits.sort(key=lambda fit: fit.cost)
-        places = [fit.place * 2**power for fit in fits[:2] if fit.cost <= _AS_GOOD * fits[0].cost]
+        first, *rest = fits
+        # One that ends where the best one does, within the blur, would go on as it does.
+        others = [fit for fit in rest if np.abs(fit.place - first.place).max() > _BLUR]
+        kept = [first, *(fit for fit in others[:1] if fit.cost <= _AS_GOOD * first.cost)]
+        places = [fit.place * 2**power for fit in kept]
     return _judged(levels[0], fits[0])
 
 
 def brightness_matched(short: _Floats, long: _Floats) -> tuple[_Floats, _Mask]:
     """Return the longer exposure with the brightness of the shorter one, and where it is valid."""
-    indices = [np.minimum(each * _RANKS, _RANKS - 1).astype(np.int32) for each in (short, long)]
-    counts = [np.bincount(each.ravel(), minlength=_RANKS) for each in indices]
+    indices = [np.minimum(each * _RANKS, _RANKS - 1).astype(np.uint16) for each in (short, long)]
+    counts = [level_counts(each, _RANKS) for each in indices]
     ranks = [np.cumsum(each) / short.size for each in counts]
     # Of equal ranks the middle: many pixels may be black in both.
     middle = ranks[1] - counts[1] / (2 * short.size)
@@ -237,11 +241,20 @@ class _Level:
         """Half the longer side, pixels."""
         return float(max(self.image.shape)) / 2
 
-    def without_bins(self, values: _Floats, weights: Any) -> _Floats:
-        """Return values at the points minus their weighted mean of each bin of brightness."""
-        bins, weights = self.bins.ravel(), np.asarray(weights, np.float64).ravel()
-        sums = np.bincount(bins, weights * values.ravel(), _BINS + 1)
-        means = sums / np.maximum(np.bincount(bins, weights, _BINS + 1), 1e-9)
+    @cached_property
+    def counts(self) -> NDArray[np.intp]:
+        """Points of each bin that are to be compared."""
+        return np.bincount(self.bins[self.is_valid], minlength=_BINS + 1)
+
+    def without_bins(self, values: _Floats, used: _Mask) -> _Floats:
+        """Return values at the points minus their mean of each bin of brightness.
+
+        The mean is that of points that are used, of those that are to be compared.
+        """
+        sums = np.bincount(self.bins.ravel(), (used * values).ravel(), _BINS + 1)
+        is_all = np.count_nonzero(used) == self.counts.sum()
+        counts = self.counts if is_all else np.bincount(self.bins[used], minlength=_BINS + 1)
+        means = sums / np.maximum(counts, 1)
         return values - means.astype(np.float32)[self.bins]
 
     def residuals(self, place: _Vector) -> _Residuals:

@@ -18,7 +18,7 @@ from camctl.evidence.ratio_check import SIGNIFICANCE
 from camctl.evidence.residual import Limits, Pair
 from camctl.evidence.spill import LightSpread, Lines
 from camctl.interface.camera import Pixels
-from camctl.system.picture_operations import box_sums, opencv
+from camctl.system.picture_operations import box_sums, looked_up, opencv
 from camctl.system.threads import in_threads
 
 FALSE_ALARMS = 0.002
@@ -276,10 +276,9 @@ def _nearest_outside(limits: Limits, lights: _Levels, means: _Levels) -> tuple[i
 
 def _looked_up(tables: _Levels, samples: Pixels) -> _Levels:
     """Return the value of each sample in the table of its colour, or in the only one."""
-    cv2 = opencv() if samples.dtype == np.uint8 else None
     if len(tables) == 1:
-        return tables[0][samples] if cv2 is None else np.asarray(cv2.LUT(samples, tables[0]))
-    if cv2 is not None:
+        return looked_up(tables[0], samples)
+    if samples.dtype == np.uint8 and (cv2 := opencv()) is not None:
         table = np.ascontiguousarray(tables.T).reshape(1, 256, 3)
         return np.asarray(cv2.LUT(samples, table))
     return np.stack([tables[k][samples[..., k]] for k in range(len(tables))], axis=-1)

@@ -327,12 +327,13 @@ def _pair(
     light, squared_step = sensor.light * full, np.square(sensor.gap * full)
     ratio = exposures[1] / exposures[0]
     predicted = light / ratio
-    short, long = light.take(samples[0]), predicted.take(samples[1])
-    usable = np.maximum(samples[0], samples[1]) <= sensor.highest(None)
-    count = np.count_nonzero(usable, axis=1)
+    before, after = (each.astype(np.intp) for each in samples)  # once, for all tables
+    short, long = light.take(before), predicted.take(after)
+    usable = np.maximum(before, after) <= sensor.highest(None)
+    count, counted = np.count_nonzero(usable, axis=1), usable.astype(np.float64)
 
     def mean(values: _Floats) -> _Floats:
-        return np.asarray((values * usable).sum(axis=1) / np.maximum(count, 1))
+        return np.asarray(np.einsum("ps,ps->p", values, counted) / np.maximum(count, 1))
 
     middle = mean(long)
     difference = short - long
@@ -345,7 +346,7 @@ def _pair(
     read = np.full(middle.size, gains[0] ** 2 + (gains[1] / ratio) ** 2)
     terms = np.stack([np.maximum(photon, 0.0), read], axis=1)
     steps = np.interp(predicted, light, np.arange(light.size))
-    codes, weights = samples[1][used], usable[used] / count[used, np.newaxis]
+    codes, weights = after[used], usable[used] / count[used, np.newaxis]
     phases = np.empty((codes.shape[0], _HARMONICS), np.complex128)
     for k in range(_HARMONICS):
         turns = np.exp(2j * math.pi * (k + 1) * steps)  # of each value, not of each sample
@@ -354,8 +355,8 @@ def _pair(
     return _Patches(
         spread[used],
         terms[used],
-        mean(squared_step.take(samples[0]))[used],
-        mean(squared_step.take(samples[1]))[used] / 12 / ratio**2,
+        mean(squared_step.take(before))[used],
+        mean(squared_step.take(after))[used] / 12 / ratio**2,
         phases,
         np.maximum(count[used] - 1.0, 1.0),
         is_even[used],

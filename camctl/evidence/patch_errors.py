@@ -113,10 +113,12 @@ class PatchErrors:
         def mean(values: _Floats) -> _Floats:
             return np.asarray(np.einsum("ps,ps->p", values, weights))
 
+        before, after = before.astype(np.intp), after.astype(np.intp)  # once, for all tables
         predicted = prediction.mean.take(after)
         errors = sensor.light.take(before) - predicted
         error = mean(errors)
-        variance = mean(np.square(errors - error[:, None])) * count / (count - 1)
+        errors -= error[:, None]
+        variance = mean(np.square(errors, out=errors)) * count / (count - 1)
         own, shared = (mean(table.take(after)) for table in (prediction.own, prediction.shared))
         light = mean(predicted)
         return cls(kept, mean(after.astype(np.float64)), light, error, variance, own, shared, count)

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import JPEG_ERROR
+from camctl.system.picture_operations import level_counts, looked_up, reduced_by_area
 
 #: Side of a patch in samples of one colour, and the number of patches of a frame, about.
 _SIDE, _PATCHES = 8, 4800
@@ -40,6 +41,8 @@ _CELL_SIDE = 4
 _NEAR, _FEW = 2, 30.0
 #: Level from which on a sample may be a saturated one, as JPEG changes it.
 _SATURATED = round((1 - JPEG_ERROR) * (_LEVELS - 1))
+#: Error of a sample at most, by its level in the longer frame: what is saturated may be brighter.
+_MOST_ERROR = np.where(np.arange(_LEVELS) < _SATURATED, np.inf, 0).astype(np.float32)
 #: Deviation of a cell from the curve that is no noise: levels, a share of its brightness, and
 #: median deviations of all cells of about its brightness, which is a band of so many levels (a
 #: thing may be most of them: up to so many levels are noise).
@@ -56,6 +59,8 @@ _STEPS_APART = (1, 9, 27)
 
 Patches: TypeAlias = NDArray[np.uint16]
 """Brightness up to white, black included, (patches, samples)."""
+
+Values: TypeAlias = NDArray[np.float32]
 
 
 def sample_patches(planes: Sequence[NDArray[Any]], white: int) -> Patches:
@@ -127,7 +132,9 @@ def moved_samples(
     count = np.zeros(shape, np.intp)
     for before, after in pairs:
         count += _deviates(
-            before[:rows, :columns], after[:rows, :columns], partial(_cell_means, shape=shape)
+            before[:rows, :columns],
+            after[:rows, :columns],
+            partial(reduced_by_area, size=shape[::-1]),
         )
     moved: NDArray[np.bool_] = count >= min(_COLOURS, len(pairs))
     moved &= _neighbours(moved) >= _NEIGHBOURS
@@ -180,11 +187,11 @@ def _as_levels(samples: NDArray[Any], black: int, white: int) -> NDArray[np.uint
         share = np.sqrt(share + _READ_NOISE) - math.sqrt(_READ_NOISE)
         share /= share[-1]
     table = np.rint((_LEVELS - 1) * share).astype(np.uint8)
-    return np.asarray(table.take(np.minimum(samples, white)))
+    return looked_up(table, np.minimum(samples, white))
 
 
 def _deviates(
-    before: NDArray[np.uint8], after: NDArray[np.uint8], means: Callable[[FloatArray], FloatArray]
+    before: NDArray[np.uint8], after: NDArray[np.uint8], means: Callable[[Values], Values]
 ) -> NDArray[np.intp]:
     """Return 1 in the cells that deviate from the curve of most, and 0 in the others.
 
@@ -194,47 +201,35 @@ def _deviates(
         means: returns the mean of each cell of values of the samples
     """
     both = after.astype(np.uint16) * np.uint16(_LEVELS) + before
-    counts = np.bincount(both.ravel(), minlength=_LEVELS**2).reshape(_LEVELS, _LEVELS)
+    counts = level_counts(both, _LEVELS**2).reshape(_LEVELS, _LEVELS)
     seen = counts[:_SATURATED, :_SATURATED].astype(np.float64)
     seen[0] = seen[:, 0] = 0  # clipped at black
-    expected = np.empty(_LEVELS)
+    expected = np.empty(_LEVELS, np.float32)
     expected[:_SATURATED] = curve = _ascending_path(seen)
     # Where the longer frame is saturated, the shorter one may be anything brighter; most is.
     expected[_SATURATED:] = float(curve[-1])
     saturated = np.repeat(np.arange(_LEVELS), counts[_SATURATED:].sum(axis=0))
     if saturated.size:
         expected[_SATURATED:] = min(float(curve[-1]), float(np.quantile(saturated, _MOSTLY)))
-    errors = np.arange(_LEVELS) - expected[:, np.newaxis]
-    errors[_SATURATED:] = np.minimum(errors[_SATURATED:], 0.0)
-    mean, level = means(errors.ravel().take(both)), means(after.astype(np.float64))
+    predicted = looked_up(expected, after)
+    most = looked_up(_MOST_ERROR, after)
+    mean = means(np.minimum(before - predicted, most, out=most))
+    level = means(after.astype(np.float32))
     band = (level // _BAND).astype(np.intp)
     noise = _medians(np.abs(mean), band)
-    limit = _LEAST_DEVIATION + _LEAST_SHARE * means(expected.take(after))
+    limit = _LEAST_DEVIATION + _LEAST_SHARE * means(predicted)
     limit = np.maximum(limit, np.minimum(_DEVIATIONS * noise, _MOST_NOISE))
     deviates: NDArray[np.bool_] = np.abs(mean) > limit
     return deviates.astype(np.intp)
 
 
-def _medians(values: FloatArray, group: NDArray[np.intp]) -> FloatArray:
+def _medians(values: Values, group: NDArray[np.intp]) -> Values:
     """Return for each value the median of the values of its group; both have the same shape."""
-    order = np.lexsort((values.ravel(), group.ravel()))
-    ascending = values.ravel()[order]
-    _, first, member, count = np.unique(
-        group.ravel()[order], return_index=True, return_inverse=True, return_counts=True
-    )
-    medians = (ascending[first + (count - 1) // 2] + ascending[first + count // 2]) / 2
-    found = np.empty(values.size)
-    found[order] = medians[member]
-    return found.reshape(values.shape)
-
-
-def _cell_means(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
-    for axis, cells in enumerate(shape):
-        first = -(-np.arange(cells) * values.shape[axis] // cells)
-        sums = np.add.reduceat(values, first, axis=axis)
-        sizes = np.diff(np.append(first, values.shape[axis]))
-        values = sums / (sizes[:, None] if axis == 0 else sizes)
-    return values
+    found = np.empty_like(values)
+    for each in np.unique(group):
+        members = group == each
+        found[members] = np.median(values[members])
+    return found
 
 
 def _ascending_path(counts: FloatArray) -> FloatArray:

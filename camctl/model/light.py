@@ -215,6 +215,15 @@ class LightTables:
         """(n, B), variance of a sample of each frame as irradiance, above 0."""
         return np.square(self.spreads) + np.float32(_LEAST_VARIANCE)
 
+    @cached_property
+    def of_values(self) -> tuple[Floats32, Floats32]:
+        """(n, white + 1), square of the step, and variance, at the light of each value."""
+        bins = self.bins(self.irradiance)
+        steps, variances = (
+            np.take_along_axis(each, bins, axis=1) for each in (self.steps, self.variances)
+        )
+        return np.square(steps), variances
+
     def estimate(
         self, values: Sequence[NDArray[Any]], total: NDArray[Any]
     ) -> tuple[Floats32, Floats32]:

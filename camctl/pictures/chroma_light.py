@@ -19,7 +19,7 @@ from camctl.evidence.chroma import brightness, chroma_variance
 from camctl.evidence.lost_detail import SIDE, LostDetail
 from camctl.model.light import Floats32, LightTables
 from camctl.model.sensor import CLIPPING_SIGMAS, FILE_OFFSET
-from camctl.system.picture_operations import box_means
+from camctl.system.picture_operations import box_means, looked_up
 
 #: Variance of colours, levels squared, above which it counts: that of rounding is 0.1 to 0.3.
 NOTABLE = 0.25
@@ -284,9 +284,10 @@ def _joined(
     saturated = [each > top - reach * error for each, error in zip(values, errors, strict=True)]
     order = _seeing(exposures, saturated)
     light = first[0]
-    samples = {at: tables.irradiance[at].take(values[at]) for at in order}
+    samples = {at: looked_up(tables.irradiance[at], values[at]) for at in order}
     unseen = [dim | other for dim, other in zip(saturated, hidden, strict=True)]
     apart = _contradiction(tables, samples, values, errors, unseen)
+    is_hidden, is_unseen = ([each.any() for each in marks] for marks in (hidden, unseen))
     is_even = np.ones(light.shape[1], np.bool_)
     for _ in range(1 if by_cell else _ROUNDS):
         bins = tables.bins(light.mean(axis=0) if by_cell else light)
@@ -297,23 +298,29 @@ def _joined(
             noise = tables.variances[at].take(bins)
             error = errors[at] * tables.steps[at].take(bins)
             both = noise + np.square(error)
-            reached = reach * np.sqrt(both)
             counts = ~(saturated[at] | tables.clipped[at].take(bins))
-            counts &= (weights > 0) | ~hidden[at]
             # Nothing is known, and these are not numbers, before the first frame that counts.
             mean = above / weights
-            known = np.sqrt(own + np.square(shared)) / weights
-            counts &= ~(mean - reach * known > saturates)
-            spread = np.sqrt(np.square(known) + both)
-            darker = (sample < mean - reach * spread) & (mean > saturates / 4)
-            darker |= hidden[at] & (sample < mean - spread)
+            bright = mean > saturates / 4
+            if is_hidden[at] or bright.any():  # else no frame is darker than the mean
+                counts &= (weights > 0) | ~hidden[at]
+                known = np.sqrt(own + np.square(shared)) / weights
+                counts &= ~(mean - reach * known > saturates)
+                spread = np.sqrt(np.square(known) + both)
+                darker = (sample < mean - reach * spread) & bright
+                darker |= hidden[at] & (sample < mean - spread)
+                counts &= ~darker
             # What may be saturated says how much light there is at least, and so do longer ones.
-            counts &= ~(darker | (sample + reached < least))
-            is_even &= (counts == counts[0]).all(axis=0)
-            least = np.maximum(least, (sample - reached) * unseen[at])
+            reached = reach * np.sqrt(both)
+            counts &= ~(sample + reached < least)
+            if is_unseen[at]:
+                least = np.maximum(least, (sample - reached) * unseen[at])
+            if by_cell:
+                is_even &= (counts == counts[0]).all(axis=0)
             weight = counts / both
-            above += weight * sample
-            squares += weight * np.square(sample)
+            weighted = weight * sample
+            above += weighted
+            squares += weighted * sample
             own += np.square(weight) * noise
             shared += weight * error
             weights += weight
@@ -359,14 +366,15 @@ def _contradiction(
     low, brightest = (np.zeros(shape, np.float32) for _ in range(2))
     high, darkest = (np.full(shape, _BEYOND) for _ in range(2))
     for at, sample in samples.items():
-        bins = tables.bins(tables.irradiance[at])
-        step = tables.steps[at].take(bins).take(values[at])
-        noise = tables.variances[at].take(bins).take(values[at])
-        shared = np.square(step) * (np.square(errors[at]) + np.float32(offset))
-        reached = reach * np.sqrt(noise + shared)
-        seen, beyond = ~unseen[at], unseen[at] * _BEYOND
-        low = np.maximum(low, (sample - reached) * seen)
-        high = np.minimum(high, sample + reached + beyond)
-        brightest = np.maximum(brightest, sample * seen)
-        darkest = np.minimum(darkest, sample + beyond)
+        square, noise = (looked_up(each[at], values[at]) for each in tables.of_values)
+        reached = reach * np.sqrt(noise + square * (np.square(errors[at]) + np.float32(offset)))
+        least, most = sample - reached, sample + reached
+        dark = bright = sample
+        if unseen[at].any():
+            seen, beyond = ~unseen[at], unseen[at] * _BEYOND
+            least, most, dark, bright = least * seen, most + beyond, dark + beyond, bright * seen
+        np.maximum(low, least, out=low)
+        np.minimum(high, most, out=high)
+        np.maximum(brightest, bright, out=brightest)
+        np.minimum(darkest, dark, out=darkest)
     return np.asarray((low > high) * (brightest - darkest), np.float32)

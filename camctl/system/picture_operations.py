@@ -38,6 +38,9 @@ _MARKED = 1 << 16
 #: Samples that are counted at once: less memory is needed, and float32 has each number up to 2^24.
 _COUNTED = 1 << 20
 
+#: Types of numbers in tables of OpenCV; samples fewer than this are looked up as fast by numpy.
+_IN_TABLES, _FEW = tuple(map(np.dtype, ("u1", "u2", "i2", "i4", "f4", "f8"))), 1024
+
 Kernel = NDArray[np.float32]
 
 
@@ -233,19 +236,43 @@ def _linear_weights(length: int, count: int) -> Kernel:
     return np.asarray(np.maximum(1 - distances, 0), np.float32)
 
 
-def level_counts(samples: NDArray[np.unsignedinteger], levels: int) -> NDArray[np.int64]:
-    """Return how often each value below `levels` occurs in (rows, columns[, channels])."""
+def level_counts(
+    samples: NDArray[np.unsignedinteger], levels: int, where: NDArray[np.bool_] | None = None
+) -> NDArray[np.int64]:
+    """Return how often each value below `levels` occurs in (rows, columns[, channels]).
+
+    Args:
+        samples: of which none is `levels` or more
+        levels: how many there are
+        where: which samples count, in their shape; None: all
+    """
     counts = np.zeros(levels, np.int64)
     cv2 = opencv() if samples.itemsize <= 2 else None
     rows = max(1, _COUNTED // (samples.size // len(samples)))
     for start in range(0, len(samples), rows):
         part = samples[start : start + rows]
+        used = None if where is None else where[start : start + rows]
         if cv2 is None:
-            counts += np.bincount(part.ravel(), minlength=levels)
+            counts += np.bincount(part.ravel() if used is None else part[used], minlength=levels)
         else:  # in float32, which has the number of samples of a part exactly
-            found = cv2.calcHist([part.reshape(len(part), -1)], [0], None, [levels], [0, levels])
+            flat = part.reshape(len(part), -1)
+            mask = None if used is None else used.reshape(flat.shape).view(np.uint8)
+            found = cv2.calcHist([flat], [0], mask, [levels], [0, levels])
             counts += found.ravel().astype(np.int64)
     return counts
+
+
+def looked_up(table: NDArray[Any], samples: NDArray[np.unsignedinteger]) -> NDArray[Any]:
+    """Return the value in a table, (levels,), of each sample, in the shape of the samples.
+
+    Of samples of 8 bits in a fifth of the time of `take`, which makes indices of 8 bytes of them.
+    """
+    cv2 = opencv() if samples.dtype == np.uint8 and table.dtype in _IN_TABLES else None
+    if cv2 is None or samples.size < _FEW:
+        return np.asarray(table.take(samples))
+    if table.size < 256:
+        table = np.pad(table, (0, 256 - table.size), mode="edge")
+    return np.asarray(cv2.LUT(samples, table[:256])).reshape(samples.shape)
 
 
 def count_from(samples: NDArray[Any], least: int) -> int:

@@ -163,8 +163,23 @@ def test_counts_of_levels(shape: tuple[int, ...], kind: Any, step: int) -> None:
     """Of contiguous pictures and of views, as the planes of a mosaic."""
     levels = 1000 if kind is not np.uint8 else 256
     picture = np.random.default_rng(0).integers(0, levels, shape).astype(kind)[::step, ::step]
+    where = random(picture.shape) < 0.5
     for counts in both(lambda: operations.level_counts(picture, levels)):
         assert counts.tolist() == np.bincount(picture.ravel(), minlength=levels).tolist()
+    for counts in both(lambda: operations.level_counts(picture, levels, where)):
+        assert counts.tolist() == np.bincount(picture[where], minlength=levels).tolist()
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.int16, np.int64, np.float32, np.float64])
+@pytest.mark.parametrize("shape", [(5, 3), (4, 50, 40), (3000,)])
+@pytest.mark.parametrize("levels", [200, 256, 300])
+def test_values_of_a_table(kind: type, shape: tuple[int, ...], levels: int) -> None:
+    rng = np.random.default_rng(0)
+    table: np.ndarray = rng.integers(0, 100, levels).astype(kind)
+    samples = rng.integers(0, min(levels, 256), shape).astype(np.uint8)
+    for found in both(lambda: operations.looked_up(table, samples)):
+        assert found.dtype == kind
+        assert (found == table[samples]).all()
 
 
 def test_counts_of_levels_are_exact_where_float32_is_not() -> None:

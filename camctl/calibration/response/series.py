@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
@@ -21,7 +22,7 @@ from camctl.findings import Finding
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray, linear_response
 from camctl.model.sensor import SensorModel
-from camctl.system.picture_operations import level_counts
+from camctl.system.picture_operations import level_counts, plane_by_plane
 
 #: Levels at which a response is estimated, evenly spread, and of how many first ones at all.
 _LEVELS, _FIRST_LEVELS = 4096, 256
@@ -120,6 +121,7 @@ class Series:
             check_size(pixels.shape, self._shape, name, self.names[0])
         self._shape = pixels.shape
         counts = {channel: np.zeros(2**self.bits, np.int64) for channel in self.channels}
+        pixels = plane_by_plane(pixels)
         planes = self.layout.planes(pixels)
         for letter, plane in zip(self.colours(), planes, strict=True):
             counts[letter] += level_counts(plane, 2**self.bits)
@@ -146,7 +148,7 @@ class Series:
             spill: False: also without samples near saturated ones
         """
         found = [self._moved[k] for k in pair if k in self._moved]
-        moved = np.asarray(np.any(found, axis=0)) if found else None
+        moved = reduce(np.logical_or, found) if found else None
         places = np.concatenate([[0], edges.astype(np.intp)])
         whole = np.array([np.add.reduceat(self._counts[k][channel], places) for k in pair])
         if spill and moved is None:
@@ -154,7 +156,7 @@ class Series:
         colours = [k for k, letter in enumerate(self.colours()) if letter == channel]
         frames = [self._grids[k] for k in pair]
         below = None if spill else self.white
-        if spill and moved is not None and moved.mean() < _LITTLE:
+        if spill and moved is not None and np.count_nonzero(moved) < _LITTLE * moved.size:
             inside = grid_counts(frames, colours, places, moved=~moved)
             scale = whole[0].sum() / sum(self._grids[0].planes[k].size for k in colours)
             left: NDArray[np.int64] = np.rint(whole - scale * inside).astype(np.int64)

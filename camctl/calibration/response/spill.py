@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from camctl.calibration.intervals import certain
 from camctl.calibration.response.matches import LEAST_NODES, Matches
 from camctl.interface.controls import Layout
+from camctl.system.picture_operations import level_counts
 
 #: Rows and columns of the grid of samples of a colour.
 _GRID = 512
@@ -51,34 +53,41 @@ class SampleGrid:
         planes: list[NDArray[Any]] = []
         peaks: list[NDArray[Any]] = []
         scale = 2 if layout.is_mosaic else 1
-        for place, plane in enumerate(layout.planes(pixels)):
+        colours = layout.planes(pixels)
+        for place, plane in enumerate(colours):
             rows, columns = (
                 np.linspace(0, length - 1, min(length, _GRID)).astype(np.intp)
                 for length in plane.shape
             )
-            planes.append(plane[np.ix_(rows, columns)])
+            planes.append(plane[rows].take(columns, axis=1))
             row, column = divmod(place, 2) if layout.is_mosaic else (0, 0)
             if layout is Layout.RGB and peaks:  # one for all colours
                 peaks.append(peaks[0])
                 continue
-            peaks.append(_brightest(pixels, scale * rows + row, scale * columns + column))
+            near = [pixels] if layout.is_mosaic else colours
+            peaks.append(_brightest(near, scale * rows + row, scale * columns + column))
         return cls(tuple(planes), tuple(peaks))
+
+    @cached_property
+    def largest(self) -> int:
+        """The largest of the samples."""
+        return max(int(plane.max()) for plane in self.planes)
 
 
 def _brightest(
-    pixels: NDArray[Any], rows: NDArray[np.intp], columns: NDArray[np.intp]
+    planes: Sequence[NDArray[Any]], rows: NDArray[np.intp], columns: NDArray[np.intp]
 ) -> NDArray[Any]:
-    """Return the brightest sample near each pixel of a grid, (rows, columns)."""
-    height, width = pixels.shape[:2]
+    """Return the brightest sample of any plane near each pixel of a grid, (rows, columns)."""
+    height, width = planes[0].shape
     # Whole rows first: they lie in a piece in memory.
-    tall = pixels[rows]
-    for down in range(-_ROWS_NEAR, _ROWS_NEAR + 1):
-        np.maximum(tall, pixels[np.clip(rows + down, 0, height - 1)], out=tall)
-    if tall.ndim == 3:
-        tall = tall.max(axis=2)
-    brightest = tall[:, columns]
+    tall = np.zeros((rows.size, width), planes[0].dtype)
+    for plane in planes:
+        for down in range(-_ROWS_NEAR, _ROWS_NEAR + 1):
+            np.maximum(tall, plane[np.clip(rows + down, 0, height - 1)], out=tall)
+    brightest = tall.take(columns, axis=1)
     for across in range(-_COLUMNS_NEAR, _COLUMNS_NEAR + 1):
-        np.maximum(brightest, tall[:, np.clip(columns + across, 0, width - 1)], out=brightest)
+        near = tall.take(np.clip(columns + across, 0, width - 1), axis=1)
+        np.maximum(brightest, near, out=brightest)
     return brightest
 
 
@@ -102,16 +111,17 @@ def grid_counts(
     Returns:
         (frames, K): samples from each level up to the next one
     """
-    largest = max(int(plane.max()) for frame in frames for plane in frame.planes)
+    largest = max(frame.largest for frame in frames)
     counts = np.zeros((len(frames), max(largest, int(places[-1])) + 1), np.int64)
     for colour in colours:
         used = np.ones(frames[0].planes[colour].shape, np.bool_)
         if below is not None:
-            used = np.max([frame.peaks[colour] for frame in frames], axis=0) < below
+            for frame in frames:
+                used &= frame.peaks[colour] < below
         if moved is not None:
             used[: moved.shape[0], : moved.shape[1]] &= ~moved
         for count, frame in zip(counts, frames, strict=True):
-            count += np.bincount(frame.planes[colour][used], minlength=count.size)
+            count += level_counts(frame.planes[colour], count.size, used)
     return np.asarray(np.add.reduceat(counts, places, axis=1))
 
 
