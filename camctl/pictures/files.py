@@ -64,7 +64,7 @@ _LARGEST_PREVIEW = 4 * PREVIEW_SIDE**2
 
 _MASK_PREFIX, _DEVIATION_PREFIX = "mask.", "sd."
 #: The values of a mask in float16.
-_HALVES = np.arange(256).astype(np.float16)
+_MASKS = np.arange(256).astype(np.float16)
 _LIBRARIES = ("OpenEXR", "tifffile")
 """Modules that write pictures; the packages that hold them have the same names."""
 _SHOOT_AGAIN = "shoot the capture again"
@@ -208,12 +208,12 @@ def read_tiff(path: Path) -> NDArray[Any]:
 
 
 def read_radiance(path: Path) -> NDArray[np.float32]:
-    """Return the irradiance in radiance.exr, (rows, columns) or (rows, columns, 3).
+    """Return the irradiance in radiance.exr, float32, (rows, columns) or (rows, columns, 3).
 
     Raises:
         DataError: the file is missing or damaged
     """
-    return _read_channels(path, "")
+    return _read_channels(path, "").astype(np.float32, copy=False)
 
 
 def read_mask(path: Path) -> NDArray[np.uint8]:
@@ -289,7 +289,9 @@ def _radiance_file(
 
 
 @lru_cache(maxsize=8)
-def _exr_header(size: tuple[int, int], names: str, halves: bool) -> dict[str, Any]:
+def _exr_header(
+    size: tuple[int, int], names: str, lights_are_halves: bool, deviations_are_halves: bool
+) -> dict[str, Any]:
     """Return the header of an OpenEXR file.
 
     The library never releases the values of a header: files of one size share theirs, so that a
@@ -300,8 +302,8 @@ def _exr_header(size: tuple[int, int], names: str, halves: bool) -> dict[str, An
 
     pixels = Imath.PixelType
     kinds = {
-        "": pixels.FLOAT,
-        _DEVIATION_PREFIX: pixels.HALF if halves else pixels.FLOAT,
+        "": pixels.HALF if lights_are_halves else pixels.FLOAT,
+        _DEVIATION_PREFIX: pixels.HALF if deviations_are_halves else pixels.FLOAT,
         _MASK_PREFIX: pixels.HALF,
     }
     channels = {
@@ -318,12 +320,19 @@ def _exr_header(size: tuple[int, int], names: str, halves: bool) -> dict[str, An
     }
 
 
+def _stored(*, halves: bool, negative: bool) -> Callable[[NDArray[np.float32]], NDArray[Any]]:
+    """Return what makes a channel of the file of float32; `negative`: some of it may be."""
+    if not halves:
+        return np.ascontiguousarray
+    return (lambda values: values.astype(np.float16)) if negative else as_halves
+
+
 class _RadianceFile:
     """An OpenEXR file written strip by strip.
 
-    The time to compress a channel follows its bytes: masks are float16, and so are standard
-    deviations where that has all of them exactly; the rest is float32.  The file is written at
-    `path` and will be called `final`, which errors name.
+    The time to compress a channel follows its bytes: masks are float16, and so are irradiance and
+    standard deviations where that has all of them as they are rounded; else they are float32.  The
+    file is written at `path` and will be called `final`, which errors name.
     """
 
     def __init__(
@@ -332,8 +341,10 @@ class _RadianceFile:
         import OpenEXR
 
         self._names, self._final = rendering.channels, final
-        self._halves = rendering.deviations_are_halves
-        header = _exr_header(size, self._names, self._halves)
+        lights, deviations = rendering.lights_are_halves, rendering.deviations_are_halves
+        header = _exr_header(size, self._names, lights, deviations)
+        self._light = _stored(halves=lights, negative=rendering.converts)
+        self._deviation = _stored(halves=deviations, negative=False)
         # It takes bytes, too.  A str that is not UTF-8 ends the process, as does an exception in
         # the Python code that it calls.
         self._file = uninterrupted(OpenEXR.OutputFile)(os.fsencode(path), header)
@@ -345,11 +356,9 @@ class _RadianceFile:
         for name, light, deviation, mask in zip(
             self._names, strip.irradiance, strip.deviation, strip.mask, strict=True
         ):
-            found[name] = np.ascontiguousarray(light)
-            found[_DEVIATION_PREFIX + name] = (
-                as_halves(deviation) if self._halves else np.ascontiguousarray(deviation)
-            )
-            found[_MASK_PREFIX + name] = _HALVES.take(mask)
+            found[name] = self._light(light)
+            found[_DEVIATION_PREFIX + name] = self._deviation(deviation)
+            found[_MASK_PREFIX + name] = _MASKS.take(mask)
         return found
 
     def write(self, channels: dict[str, NDArray[Any]]) -> None:

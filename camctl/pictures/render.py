@@ -65,7 +65,7 @@ FrameRows = Callable[[int, slice], Pixels]
 
 
 def as_halves(values: NDArray[np.float32]) -> NDArray[np.float16]:
-    """Return deviations rounded to float16 in a tenth of numpy's time, see `deviations_are_halves`.
+    """Return values of at least 0 rounded to float16 in half of numpy's time.
 
     2^-112 times the value has float16's exponent, and its fraction, in the upper bits of float32.
     """
@@ -201,6 +201,23 @@ class Rendering:
         return bool(least / halved >= 2.0**-15 and most * 2 <= float(np.finfo(np.float16).max))
 
     @cached_property
+    def lights_are_halves(self) -> bool:
+        """Whether float16 has all irradiance of the pictures.
+
+        Of that below 2^-14 it has multiples of 2^-24, which are far closer than the deviations of
+        `deviations_are_halves`.
+        """
+        if self._bits > np.finfo(np.float16).nmant or not self.deviations_are_halves:
+            return False
+        most = max(float(part.response.levels[-1]) for part, _ in self.light.parts)
+        if self.converts:
+            assert self.colour is not None
+            gains = np.abs(self.colour.matrix).sum(axis=1) * max(self.colour.white_balance)
+            most *= float(gains.max())
+        # An estimate beside saturated samples may be above full scale, by a deviation.
+        return bool(2 * most / self.light.unit <= float(np.finfo(np.float16).max))
+
+    @cached_property
     def _bits(self) -> int:
         """Bits of the fraction of irradiance: the rounding is at most 2^-bits / sqrt(12) of it."""
         least = self.light.least_relative * _ROUNDING * math.sqrt(12)
@@ -266,7 +283,7 @@ class Rendering:
         for more in marks:
             mask |= plane_by_plane(more)
         masks = channels_apart(mask)
-        if self._converts:
+        if self.converts:
             coded = self._coded(shown, marked, frames, part)
             lights = channels_apart(estimate), channels_apart(bare), channels_apart(deviation)
             return self._converted(*lights, masks, channels_apart(coded))
@@ -304,7 +321,8 @@ class Rendering:
         return np.where(np.isinf(deviation), SATURATED, np.where(dark, DARK, GOOD)).astype(np.uint8)
 
     @property
-    def _converts(self) -> bool:
+    def converts(self) -> bool:
+        """Whether colours become those of BT.709; some of their irradiance is negative then."""
         return self.colour is not None and not self.colour.is_identity and self.channels != "Y"
 
     def _converted(
@@ -379,7 +397,7 @@ class Rendering:
         for more in marks:  # each by itself: of several values the largest spreads
             mask |= demosaic_mask(more)
         irradiance = colours(estimate, self._bits)
-        if self._converts:
+        if self.converts:
             return self._converted(
                 irradiance,
                 irradiance if bare is estimate else colours(bare, self._bits),

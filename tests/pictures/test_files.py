@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from picture_parts import NOISE, details, rendered
 from sampling import some
 
 from camctl.errors import DataError
+from camctl.interface.colour import CameraColour
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import linear_response
 from camctl.pictures import render as pictures
@@ -65,22 +67,43 @@ def test_files_and_memory_hold_the_same_arrays(layout: Layout, tmp_path: Path) -
 def test_channels_of_radiance_exr(
     layout: Layout, full_scale: float, halves: bool, tmp_path: Path
 ) -> None:
-    """Deviations are float16 where that has them: neither tiny nor huge."""
+    """Light and deviations are float16 where that has them: neither tiny nor huge."""
     total, how = rendered(layout, unit=full_scale)
     write_picture_files(total, how, details(), tmp_path)
     with OpenEXR.File(str(tmp_path / "radiance.exr"), separate_channels=True) as file:
         types = {name: channel.pixels.dtype for name, channel in file.channels().items()}
     names = "Y" if layout is Layout.MONO else "RGB"
     expected: dict[str, type[np.generic]] = {f"mask.{name}": np.float16 for name in names}
-    deviation = np.float16 if halves else np.float32
+    kind = np.float16 if halves else np.float32
     for name in names:
-        expected |= {name: np.float32, f"sd.{name}": deviation}
+        expected |= {name: kind, f"sd.{name}": kind}
     assert types == expected
-    found = FolderStore(tmp_path).picture("deviation")
     memory = MemoryStore()
     memory.keep_pictures(total, how, details())
-    assert found.dtype == np.float32
-    assert np.array_equal(found, memory.picture("deviation"))
+    for each in ("radiance", "deviation"):
+        found = FolderStore(tmp_path).picture(each)
+        assert found.dtype == np.float32
+        assert np.array_equal(found, memory.picture(each))
+
+
+@pytest.mark.parametrize("exactness", [1, 16])
+def test_light_of_many_digits_or_negative_is_kept(exactness: int, tmp_path: Path) -> None:
+    """Colours outside of BT.709 are negative; light with little noise needs float32."""
+    total, how = rendered(Layout.RGB)
+    matrix = (1.8, -0.6, -0.2), (-0.3, 1.6, -0.3), (0.0, -0.7, 1.7)
+    parts = tuple(
+        (part, replace(each, deviation=each.deviation / exactness))
+        for part, each in how.light.parts
+    )
+    how = replace(how, colour=CameraColour(matrix), light=replace(how.light, parts=parts))
+    write_picture_files(total, how, details(), tmp_path)
+    with OpenEXR.File(str(tmp_path / "radiance.exr"), separate_channels=True) as file:
+        assert file.channels()["R"].pixels.dtype == (np.float16 if exactness == 1 else np.float32)
+    memory = MemoryStore()
+    memory.keep_pictures(total, how, details())
+    light = FolderStore(tmp_path).picture("radiance")
+    assert light.min() < 0
+    assert np.array_equal(light, memory.picture("radiance"))
 
 
 @pytest.mark.parametrize("layout", list(Layout))
