@@ -40,9 +40,11 @@ _SHIFT = np.uint64(64 - _PLACES_BITS)
 #: New combinations that are estimated at once: a call costs as much as 3,000 of them.
 _AT_ONCE = 1 << 12
 
-#: Integers of 1, 2 and 4 bytes that each version of OpenCV has, and unsigned ones twice as wide.
-_NARROW = {1: np.uint8, 2: np.uint16, 4: np.int32}
-_WIDE = {1: np.uint16, 2: np.uint32, 4: np.uint64}
+#: Bytes of a word.
+_WORD = 8
+
+#: A combination, and what was estimated of it: 16 bytes, which numpy takes at once.
+_ENTRY = np.dtype([("key", np.uint64), ("light", np.float32), ("deviation", np.float32)])
 
 
 class LightMemory:
@@ -56,13 +58,12 @@ class LightMemory:
 
     def __init__(self, estimate: Estimate) -> None:
         self._estimate = estimate
-        self._keys = np.zeros(1 << _PLACES_BITS, np.uint64)
-        self._keys[:2] = 1  # 0 would be there, and is not known either
-        self._light = np.empty(self._keys.size, np.float32)
-        self._deviation = np.empty_like(self._light)
+        self._known = np.zeros(1 << _PLACES_BITS, _ENTRY)
+        self._known["key"][:2] = 1  # 0 would be there, and is not known either
+        self._taken = np.empty(_BLOCK, _ENTRY)
         self._work = np.empty(_BLOCK, np.uint64)
+        self._words = np.empty((_BLOCK, _WORD), np.uint8)
         self._asked = self._new = 0
-        self._buffers: list[NDArray[Any]] = []
 
     def of(
         self, values: Sequence[NDArray[Any]], total: NDArray[np.unsignedinteger]
@@ -70,7 +71,7 @@ class LightMemory:
         """Return what `estimate` returns; arguments likewise."""
         light = np.empty(total.size, np.float32)
         deviation = np.empty_like(light)
-        if self._asked > self._keys.size and self._new > self._asked / 2:
+        if self._asked > self._known.size and self._new > self._asked / 2:
             self._find(values, total, light, deviation)
             return light, deviation
         self._asked += total.size
@@ -79,14 +80,15 @@ class LightMemory:
             part = slice(start, start + _BLOCK)
             key = self._combined([each[part] for each in values])
             places = self._places(key)
-            known = self._keys.take(places, mode="clip") == key
+            found = self._known.take(places, out=self._taken[: key.size], mode="clip")
+            known = found["key"] == key
             if not known.all():
-                beside = np.flatnonzero(~known)
-                places[beside] ^= 1
-                is_there = self._keys.take(places[beside]) == key[beside]
-                new.append(beside[~is_there] + start)
-            self._light.take(places, out=light[part], mode="clip")
-            self._deviation.take(places, out=deviation[part], mode="clip")
+                others = np.flatnonzero(~known)
+                beside = self._known.take(places[others] ^ 1)
+                is_there = beside["key"] == key[others]
+                found[others] = beside
+                new.append(others[~is_there] + start)
+            light[part], deviation[part] = found["light"], found["deviation"]
             if new and (part.stop >= total.size or sum(map(len, new)) >= _AT_ONCE):
                 self._add(np.concatenate(new), values, total, light, deviation)
                 new = []
@@ -102,17 +104,17 @@ class LightMemory:
     ) -> None:
         """Estimate the light of samples `new`, and keep it."""
         self._new += new.size
-        found = np.empty((2, new.size), np.float32)
+        entries = np.empty(new.size, _ENTRY)
         here = [each.take(new) for each in values]
-        self._find(here, total.take(new), *found)
+        self._find(here, total.take(new), entries["light"], entries["deviation"])
+        light[new], deviation[new] = entries["light"], entries["deviation"]
+        keys = self._known["key"]
         for start in range(0, new.size, _BLOCK):
-            part = slice(start, start + _BLOCK)
-            key = self._combined([each[part] for each in here])
+            part = entries[start : start + _BLOCK]
+            part["key"] = key = self._combined([each[start : start + _BLOCK] for each in here])
             places = self._places(key)
-            places[self._keys.take(places) > 1] ^= 1
-            self._keys[places] = key  # of several the last one, in all three
-            self._light[places], self._deviation[places] = found[:, part]
-        light[new], deviation[new] = found
+            places[keys.take(places) > 1] ^= 1
+            self._known[places] = part  # of several the last one
 
     def _find(
         self,
@@ -136,22 +138,15 @@ class LightMemory:
         """Return a number for each combination: its bytes, or more than 8 of them combined.
 
         These are as the digits of a number to a base, modulo 2^64: one is another one's number in 1
-        of 2^64 cases.
+        of 2^64 cases.  The number is valid until the next call.
         """
-        words, level = list(values), 0
-        while (size := words[0].itemsize) < 8:
-            if len(words) % 2:
-                words.append(words[-1])
-            if level == len(self._buffers):
-                shape = len(words) // 2, _BLOCK, 2
-                self._buffers.append(np.empty(shape, _NARROW[size]))
-            narrow = [each.view(_NARROW[size]) for each in words]
-            words = []
-            for place, out in enumerate(self._buffers[level][:, : values[0].size]):
-                interleave(narrow[2 * place], narrow[2 * place + 1], out)
-                words.append(out.reshape(-1).view(_WIDE[size]))
-            level += 1
-        key = words[0]
-        for each in words[1:]:
-            key = key * _FACTOR + each
+        count, dtype = _WORD // values[0].itemsize, values[0].dtype
+        out = self._words[: values[0].size]
+        word = out.view(np.uint64).reshape(-1)
+        key = word
+        for first in range(0, len(values), count):
+            some = list(values[first : first + count])
+            interleave((some * count)[:count], out.view(dtype))  # repeated, they spread better
+            if len(values) > count:
+                key = key * _FACTOR + word if first else word.copy()
         return key

@@ -161,13 +161,19 @@ class FrameLight:
             frames: the same rows of each frame, from a multiple of 8 on, black included
             total: sum of the frames, clipped at white
         """
-        irradiance, deviation = (_planes(total.shape) for _ in range(2))
         clipped = [plane_by_plane(each) for each in self._clipped(frames)]
+        both: list[Floats32] = []
         for (part, _), memory in zip(self.parts, self._memories(), strict=True):
             *values, sums = (np.ravel(part.view(each)) for each in (*clipped, total))
-            for whole, found in zip((irradiance, deviation), memory.of(values, sums), strict=True):
+            found = memory.of(values, sums)
+            if len(self.parts) == 1:  # all samples
+                both = [each.reshape(total.shape) for each in found]
+                break
+            both = both or [_planes(total.shape) for _ in range(2)]
+            for whole, each in zip(both, found, strict=True):
                 view = part.view(whole)
-                view[...] = found.reshape(view.shape)
+                view[...] = each.reshape(view.shape)
+        irradiance, deviation = both
         if self.chroma:
             share_chroma_errors(clipped, self.chroma, self.details, irradiance, deviation)
         irradiance *= np.float32(1 / self.unit)

@@ -168,12 +168,13 @@ def channels_together(planes: Sequence[NDArray[Any]]) -> NDArray[Any]:
     return np.stack(planes, axis=-1)
 
 
-def interleave(one: NDArray[Any], other: NDArray[Any], out: NDArray[Any]) -> None:
-    """Write pairs of values, (S,) each, into (S, 2); all of one type of `_as_integers`."""
+def interleave(planes: Sequence[NDArray[Any]], out: NDArray[Any]) -> None:
+    """Write values, (S,) each, into (S, planes); all of one type of `_as_integers`."""
     if (cv2 := opencv()) is not None:
-        cv2.merge((one[np.newaxis], other[np.newaxis]), out[np.newaxis])
-    else:
-        out[:, 0], out[:, 1] = one, other
+        cv2.merge([each[np.newaxis] for each in planes], out[np.newaxis])
+        return
+    for place, each in enumerate(planes):
+        out[:, place] = each
 
 
 def _as_integers(values: NDArray[Any]) -> NDArray[Any]:
