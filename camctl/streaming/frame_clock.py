@@ -28,7 +28,7 @@ DataT = TypeVar("DataT")
 DataT_co = TypeVar("DataT_co", covariant=True)
 
 #: A timestamp may be later than the end of its slot by this share of a slot, which is more than
-#: jitter; 0.5 would leave it open which slot it is.
+#: jitter; or as late as recent ones are, where a program looks for frames every so often.
 _LATEST = 0.35
 #: The same where the sequence numbers show the same number of slots: short of the next slot's end.
 _LATEST_COUNTED = 0.65
@@ -47,8 +47,9 @@ _GAP_TOLERANCE = 0.04
 _RECENT_SLOTS = 32
 #: The interval is measured from at least so many frames.
 _FEWEST_FRAMES = 12
-#: It is changed where it differs by so many times what late timestamps cause by chance, and where
-#: no frame would then be early by more than this share of a slot.
+#: It is changed where it differs by so many times what late timestamps cause by chance (they cause
+#: so much in exp(-6) of the cases), and where no frame would then be early by more than this share
+#: of a slot.
 _CHANCE, _JITTER = 6, 0.02
 
 #: When settings are written, in slots after the timestamp of a frame.  Up to the middle of the
@@ -91,6 +92,7 @@ class FrameClock:
         self.late = 0.0
         self._recent: deque[tuple[int, float]] = deque()  # slot and timestamp
         self._gaps: deque[float] = deque(maxlen=_MOST_UNCERTAIN)  # s
+        self._lates: deque[float] = deque(maxlen=_RECENT_SLOTS)  # slots
         self._sequence: int | None = None
         self._uncertain = 0  # frames in a row
 
@@ -113,12 +115,16 @@ class FrameClock:
             is_certain = -_EARLIEST <= late <= _LATEST_COUNTED
         else:
             # A frame that is late by a whole slot looks like one after a frame that was not sent.
-            is_clear = -_EARLIEST <= late <= _LATEST and abs(gap - passed) <= _LATEST
+            latest = self._latest
+            is_clear = -_EARLIEST <= late <= latest and abs(gap - passed) <= latest
             is_certain = is_clear and not counted
         self.number += passed
         self.time_s = time_s
         self._uncertain = 0 if is_certain else self._uncertain + 1
         self._gaps.append(gap * self.interval_s)
+        if late < -_EARLIEST:  # they were later than they seemed
+            self._lates.clear()
+        self._lates.append(max(0.0, late))
         # One that is a little early shows when slots end; the numbers are as certain as before.
         if is_certain or (-2 * _EARLIEST < late < 0 and self._uncertain < _MOST_UNCERTAIN):
             self._recent.append((self.number, time_s))
@@ -129,11 +135,30 @@ class FrameClock:
         self._measure()
         return FrameStamp(self.number, time_s, is_certain)
 
+    @property
+    def _latest(self) -> float:
+        """How late a timestamp may be that is clear, slots: as late as all recent ones but one.
+
+        It must not be one of the next slot.  It could be if all recent ones, the earliest of which
+        shows when slots end, were late by what it lacks of a slot.
+        """
+        if len(self._lates) < _FEWEST_FRAMES:
+            return _LATEST
+        *_, usual, _ = sorted(self._lates)
+        by_chance = _CHANCE * _least_late(self._lates, len(self._lates))
+        return max(_LATEST, min(usual, 1 - _EARLIEST - by_chance))
+
     def _begin_anew(self, late: float) -> None:
         """Forget frames whose numbers may be wrong, but not when slots end unless it fits none."""
         if self._uncertain >= _MOST_UNCERTAIN:
             late, self._uncertain = 0.0, 0
+            self._lates.clear()
             self.interval_s = _agreed(self._gaps) or self.interval_s
+        elif len(self._lates) == self._lates.maxlen:
+            # Slots end where the earliest of these did: the interval may be a little wrong.
+            least = min(self._lates)
+            self._lates = deque((each - least for each in self._lates), self._lates.maxlen)
+            late -= least
         assert self.number is not None
         self._recent.clear()
         self._recent.append((self.number, self.time_s - late * self.interval_s))
@@ -151,8 +176,7 @@ class FrameClock:
     def _measure_interval(self, frames: list[tuple[int, float]]) -> None:
         """Measure the interval from the earliest frame of each half of the recent ones.
 
-        It is changed where that moves them by more than chance: the earliest of m timestamps, of
-        which half are late by more than u, is late by about 2 u / m.  No timestamp is early, so an
+        It is changed where that moves them by more than chance.  No timestamp is early, so an
         interval that makes one early is not used.
         """
         half = len(frames) // 2
@@ -160,7 +184,7 @@ class FrameClock:
         passed = last - first
         interval_s = (last_s - first_s) / passed
         late_s = sorted(time_s - first_s - (k - first) * interval_s for k, time_s in frames)
-        is_chance = abs(interval_s - self.interval_s) * passed < _CHANCE * 2 * median(late_s) / half
+        is_chance = abs(interval_s - self.interval_s) * passed < _CHANCE * _least_late(late_s, half)
         if not is_chance and late_s[0] >= -_JITTER * interval_s:
             self.interval_s = interval_s
 
@@ -206,6 +230,14 @@ class FrameClock:
         if self.number is None:
             raise ValueError("a frame clock needs a frame before it knows the current slot")
         return self.number + max(1, math.ceil(self.phase(now_s))) + 1
+
+
+def _least_late(lates: Sequence[float], count: int) -> float:
+    """Return how late the earliest of so many timestamps is, about, where others are as `lates`.
+
+    Of m timestamps, of which half are late by more than u, it is late by about 2 u / m.
+    """
+    return 2 * median(lates) / count
 
 
 def _agreed(gaps_s: Sequence[float]) -> float | None:

@@ -53,6 +53,19 @@ def test_each_frame_has_the_exposure_that_it_states(name: str, delay: int, jitte
             assert count == len(wanted)
 
 
+def test_frames_of_a_polled_webcam_cost_less_than_settling() -> None:
+    """With a delay of 3 settling takes six frames for each exposure."""
+    changes = {"delay_frames": 3, "gain_delay_frames": None}
+    sensor = load_sensor("webcam").model_copy(update=changes)
+    stream = load_stream("polled-webcam")
+    with SimulatedCamera(load_scene("ramp", (2, 4)), sensor, stream=stream) as camera:
+        before = camera.clock.now()
+        for _ in range(20):
+            list(camera.shoot([ExposureSetting(0.01), ExposureSetting(0.02)] * 2))
+        frames = (camera.clock.now() - before) / sensor.frame_interval_s
+    assert frames < 5 * 80
+
+
 def test_frames_come_as_they_were_recorded() -> None:
     lossy = load_stream("lossy-board")
     assert lossy.arrival(lossy.numbers[-1] + 1) == lossy.arrival(0)  # it begins again

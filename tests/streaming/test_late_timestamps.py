@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from random import Random
 
 import pytest
@@ -13,7 +15,14 @@ from sampling import some
 from camctl.errors import CameraProtocolError
 from camctl.interface.clock import VirtualClock
 from camctl.interface.controls import ExposureSetting
-from camctl.streaming import ControlDelay, DelayOrigin, ExposurePipeline, TimestampedStream
+from camctl.streaming import (
+    ControlDelay,
+    DelayOrigin,
+    ExposurePipeline,
+    FrameClock,
+    FrameStamp,
+    TimestampedStream,
+)
 
 INTERVAL_S = 0.1
 #: Frames that wait for the consumer at most, and how long a write takes at most, slots.
@@ -139,3 +148,27 @@ def test_no_frame_has_a_wrong_exposure_where_every_timestamp_is_late() -> None:
 def test_no_frame_of_10000_captures_has_a_wrong_exposure() -> None:
     shares = (0.1, 0.2, 0.35, 0.5)
     assert {share: totals(50, share, 0.6) for share in shares} == dict.fromkeys(shares, (0, 0))
+
+
+@pytest.mark.parametrize("error", [-0.002, 0.0, 0.002])
+@pytest.mark.parametrize("period", [0.456, 0.6])
+def test_frames_of_a_program_that_looks_every_so_often_are_numbered(
+    period: float, error: float
+) -> None:
+    """Times are those at which it looked; one frame in ten is lost, and none is numbered wrong."""
+    chance = Random(1)
+    clock = FrameClock(1 + error)
+    slots: list[int] = []
+    stamps: list[FrameStamp] = []
+    for slot in range(1000):
+        if chance.random() > 0.1:
+            slots.append(slot)
+            stamps.append(clock.add(math.ceil((slot + 0.3) / period) * period))
+    pairs = zip(pairwise(slots), pairwise(stamps), strict=True)
+    right = [
+        stamp.number - before.number == after - first
+        for (first, after), (before, stamp) in pairs
+        if stamp.is_certain
+    ]
+    assert all(right)
+    assert len(right) > len(slots) / 2
