@@ -26,7 +26,7 @@ from camctl.model.sensor import SensorModel
 from camctl.pictures.colour import deviation_in_bt709, in_gamut, to_bt709
 from camctl.pictures.development import Development
 from camctl.pictures.frame_light import FrameLight
-from camctl.pictures.ghosts.replacement import Ghosts
+from camctl.pictures.ghosts.replacement import GhostPlaces, Ghosts
 from camctl.pictures.mosaic import (
     DEVIATION_BITS,
     LETTERS,
@@ -267,31 +267,32 @@ class Rendering:
             marks.append(self.movement.rows(first, last) * np.uint8(CONTRADICTING))
         frames = [self.frames(place, slice(first, last)) for place in range(self.count)]
         estimate, deviation = self.light.rows(frames, sums)
-        mask, moved = self._values("mask", sums), None
-        part = slice(first, last)
+        mask, part = self._values("mask", sums), slice(first, last)
         marked = None if hot is None else hot[part]
-        if self.ghosts is not None:
-            estimate, deviation, moved = self.ghosts.replaced(frames, part, estimate, deviation)
-            mask[moved] = self._single_mask(estimate[moved], deviation[moved])
+        moved = None if self.ghosts is None else self.ghosts.within(part, total.shape[1])
+        if moved is not None:
+            moved.show(frames, estimate, deviation)
+            mask[moved.places] = self._single_mask(estimate[moved.places], deviation[moved.places])
         bare = self._bare(estimate, sums, shown, marked)
         if self.layout.is_mosaic:
             inner = slice(rows.start - first, rows.stop - first)
             found = estimate, bare, deviation
-            coded = self._coded(shown, marked, frames, part)
+            coded = self._coded(shown, marked, frames, moved)
             strip = self._mosaic_strip(mask, coded, found, marks, first, inner)
             return replace(strip, mosaic=bare[inner])
         for more in marks:
             mask |= plane_by_plane(more)
         masks = channels_apart(mask)
         if self.converts:
-            coded = self._coded(shown, marked, frames, part)
+            coded = self._coded(shown, marked, frames, moved)
             lights = channels_apart(estimate), channels_apart(bare), channels_apart(deviation)
             return self._converted(*lights, masks, channels_apart(coded))
         irradiance = tuple(rounded(each, self._bits) for each in channels_apart(estimate))
         light = irradiance if bare is estimate else channels_apart(bare)
         code = self._values("code", shown)
-        if moved is not None and moved.any():
-            code[moved] = encode(self.desired, self._coded(shown, marked, frames, part)[moved])
+        if moved is not None:
+            coded = self._coded(shown, marked, frames, moved)
+            code[moved.places] = encode(self.desired, coded[moved.places])
         errors = tuple(rounded(each, DEVIATION_BITS) for each in channels_apart(deviation))
         return Strip(irradiance, light, errors, masks, channels_together(channels_apart(code)))
 
@@ -300,18 +301,18 @@ class Rendering:
         shown: NDArray[np.unsignedinteger],
         hot: NDArray[np.uint8] | None,
         frames: list[Pixels],
-        part: slice,
+        moved: GhostPlaces | None,
     ) -> NDArray[np.float32]:
-        """Return the irradiance that the image shows in a part of the rows, in a frame's shape."""
-        coded = self._values("shown", shown)
-        if self.ghosts is None:
-            return np.asarray(coded)
-        certain = np.zeros_like(coded)
-        found, _, moved = self.ghosts.replaced(frames, part, coded, certain, scale=self.light.unit)
-        if hot is not None:  # they have the light of their neighbours
-            moved &= hot.reshape(*moved.shape, -1).max(axis=2) == 0
-        coded[moved] = found[moved]
-        return np.asarray(coded)
+        """Return the irradiance that the image shows, in a frame's shape."""
+        coded = np.asarray(self._values("shown", shown))
+        if moved is None:
+            return coded
+        all_frames = None if hot is None else coded.copy()
+        moved.show(frames, coded, scale=self.light.unit)
+        if hot is not None and all_frames is not None:  # they have the light of their neighbours
+            is_hot = hot.reshape(*coded.shape[:2], -1).any(axis=2)
+            coded[is_hot] = all_frames[is_hot]
+        return coded
 
     def _single_mask(
         self, light: NDArray[np.float32], deviation: NDArray[np.float32]

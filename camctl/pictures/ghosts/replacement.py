@@ -19,7 +19,6 @@ COMPARED = 4
 _ROUNDED = 1e-6
 
 _Between = tuple[NDArray[np.intp], NDArray[np.intp], Floats32]
-_Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +48,23 @@ class Ghosts:
         """Share of the picture that is from single frames."""
         return float((self.labels >= 0).mean())
 
-    def weights(self, rows: slice, columns: int) -> Iterator[tuple[int, Floats32, Floats32]]:
-        """Yield the frames shown in some rows, their share in each pixel, and their certainty.
+    def within(self, rows: slice, columns: int) -> GhostPlaces | None:
+        """Return the pixels of some rows that single frames show; None where there are none.
 
-        Both are (rows, columns), and interpolated linearly between the middles of cells.
+        Shares and certainty are interpolated linearly between the middles of cells.
         """
-        pixels = np.arange(rows.start, rows.stop), np.arange(columns)
+        pixels = [np.arange(rows.start, rows.stop), np.arange(columns)]
+        down, across = (
+            _interpolation(each, self.cell, length)
+            for each, length in zip(pixels, self.labels.shape, strict=True)
+        )
+        near = self.labels[down[0].min() : down[1].max() + 1]
+        is_single = np.asarray((near >= 0).any(axis=0))
+        reached = np.flatnonzero(is_single[across[0]] | is_single[across[1]])
+        if not reached.size:
+            return None
+        first = int(reached[0])
+        pixels[1] = pixels[1][first : int(reached[-1]) + 1]
         cells, parts = (
             [
                 _interpolation(each, self.cell / count, length * count)
@@ -62,71 +72,86 @@ class Ghosts:
             ]
             for count in (1, COMPARED)
         )
-        near = self.labels[cells[0][0].min() : cells[0][1].max() + 1]
-        for frame in np.unique(near[near >= 0]).tolist():
-            weight = _enlarged((self.labels == frame).astype(np.float32), *cells)
-            yield frame, weight, _enlarged(self.certainty[frame], *parts)
+        weights = {
+            frame: _enlarged((self.labels == frame).astype(np.float32), *cells)
+            for frame in np.unique(near[near >= 0]).tolist()
+        }
+        total = np.asarray(sum(weights.values()), np.float32)
+        some = np.nonzero(total > 0)
+        rest = 1 - total[some]
+        rest[rest < _ROUNDED] = 0
+        shares = {
+            frame: (weight[some], _enlarged(self.certainty[frame], *parts)[some])
+            for frame, weight in weights.items()
+        }
+        return GhostPlaces((some[0], some[1] + first), rows.start, self.lights, rest, shares)
 
-    def replaced(
+
+@dataclass(frozen=True, eq=False)
+class GhostPlaces:
+    """Pixels of some rows that single frames show.
+
+    Attributes:
+        places: their row, from the first one of these, and column, (N,) each
+        first: the first row
+        lights: of each frame, for each part of the samples
+        rest: share of all frames together, (N,)
+        shares: for each frame its share, and its certainty, (N,) each
+    """
+
+    places: tuple[NDArray[np.intp], NDArray[np.intp]]
+    first: int
+    lights: tuple[SingleLight, ...]
+    rest: Floats32
+    shares: dict[int, tuple[Floats32, Floats32]]
+
+    def show(
         self,
         frames: Sequence[Pixels],
-        rows: slice,
         light: Floats32,
-        deviation: Floats32,
+        deviation: Floats32 | None = None,
         *,
         scale: float = 1.0,
-    ) -> tuple[Floats32, Floats32, _Mask]:
-        """Return light and its deviation with single frames where things moved, and where.
+    ) -> None:
+        """Replace light and its deviation by those of single frames.
 
         Where a frame is saturated, and all of them show more light, these are believed.  The
         deviation is the frame's, also where all frames have a share by its lack of certainty.
 
         Args:
-            frames: these rows of each, black included
-            rows: of the frame
+            frames: the rows of each, black included
             light: from all frames, in the shape of a frame
-            deviation: of it, likewise
+            deviation: of it, likewise; None: it is of no interest
             scale: of `light` over the unit of the pictures
         """
-        shape, channels = light.shape, light.shape[2:]
-        total = np.zeros(shape[:2], np.float32)
-        parts = list(self.weights(rows, shape[1]))
-        for _, weight, _ in parts:
-            total += weight
-        some = total > 0
-        places = np.nonzero(some)
-        if not places[0].size:
-            return light, deviation, some
+        places, shape = self.places, (-1, *[1] * (light.ndim - 2))
         least = np.float32(least_light(self.lights) * scale)
-        before, error_before = np.maximum(light[places], least), deviation[places]
-        rest = (np.float32(1) - total[places]).reshape(-1, *[1] * len(channels))
-        rest[rest < _ROUNDED] = 0
+        before = np.maximum(light[places], least)
+        error_before = np.zeros_like(before) if deviation is None else deviation[places]
         logarithm = np.log(before)
         found = logarithm.copy()
-        relative = _times(rest, np.asarray(error_before / before))
-        for frame, weight, certainty in parts:
-            share = weight[places].reshape(rest.shape)
-            single, error = self._of_frame(frame, frames[frame], places, rows.start)
+        relative = _times(self.rest.reshape(shape), np.asarray(error_before / before))
+        for frame, (weight, certainty) in self.shares.items():
+            share = weight.reshape(shape)
+            single, error = self._of_frame(frame, frames[frame])
             single *= np.float32(scale)
-            error *= np.float32(scale)
             np.maximum(single, least, out=single)
             brighter = np.isinf(error) & (before > single)
-            single[brighter], error[brighter] = before[brighter], error_before[brighter]
-            believed = share * certainty[places].reshape(rest.shape)
-            found += believed * (np.log(single) - logarithm)
-            relative += _times(share, error / single)
-        result, errors = light.copy(), deviation.copy()
-        result[places] = np.exp(found)
-        errors[places] = relative * result[places]
-        return result, errors, some
+            single[brighter] = before[brighter]
+            found += share * certainty.reshape(shape) * (np.log(single) - logarithm)
+            if deviation is not None:
+                error *= np.float32(scale)
+                error[brighter] = error_before[brighter]
+                relative += _times(share, error / single)
+        light[places] = shown = np.exp(found)
+        if deviation is not None:
+            deviation[places] = relative * shown
 
-    def _of_frame(
-        self, frame: int, pixels: Pixels, places: tuple[NDArray[np.intp], ...], first: int
-    ) -> tuple[Floats32, Floats32]:
-        """Return the light of a frame and its deviation at some places, (N,) or (N, channels)."""
-        size = (places[0].size, *pixels.shape[2:])
+    def _of_frame(self, frame: int, pixels: Pixels) -> tuple[Floats32, Floats32]:
+        """Return the light of a frame and its deviation, (N,) or (N, channels)."""
+        size = (self.places[0].size, *pixels.shape[2:])
         light, deviation = np.empty(size, np.float32), np.empty(size, np.float32)
-        for single, chosen, values in _parts_at(self.lights, pixels, places, first):
+        for single, chosen, values in _parts_at(self.lights, pixels, self.places, self.first):
             clipped = np.minimum(values, single.irradiance.shape[1] - 1)
             light[chosen] = single.irradiance[frame].take(clipped)
             deviation[chosen] = single.deviation[frame].take(clipped)
