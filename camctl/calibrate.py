@@ -89,7 +89,8 @@ def response(
     """Measure the response: which brightness the camera gives to which irradiance.
 
     The scene must not move, its light must be steady, and it should have many shades from dark to
-    bright.  Where the curve is too uncertain for a profile, `response_inexact` says what helps.
+    bright.  Where the curve is too uncertain for a profile, `response_inexact` says what
+    helps; of frames, too, whose exposures are known.
 
     Args:
         source: an open camera, which shoots a series that suits the light; or frames
@@ -138,7 +139,10 @@ def response(
             series, estimate_ratios=estimate_ratios, chart=seen, is_kept=keep
         )
     record = estimate.record
-    inexact = None if keep or camera is None else inexactness(record, series.exposures)
+    has_profile = camera is not None
+    inexact = None
+    if not keep and (has_profile or estimate.exponent_error is None):  # else that is said already
+        inexact = inexactness(record, series.exposures, has_profile=has_profile)
     return ResponseResult(
         channels=tuple(ChannelResult.of(each, record.phase) for each in record.channels),
         phase=record.phase,

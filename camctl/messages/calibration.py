@@ -98,9 +98,13 @@ def _chart_contradicts(finding: Finding) -> str:
 
 def _response_inexact(finding: Finding) -> str:
     found = finding.details
+    known = (
+        f"at {found['brightness']:.0%} of full scale the response is known to +-{finding.value:.0%}"
+    )
+    if not found["has_profile"]:
+        return f"{known}; {found['help']}"
     return (
-        f"not kept in the camera's profile: at {found['brightness']:.0%} of full scale the "
-        f"response is known to +-{finding.value:.0%}, and +-{found['needed']:.0%} is needed; "
+        f"not kept in the camera's profile: {known}, and +-{found['needed']:.0%} is needed; "
         f"{found['help']}, or keep it all the same"
     )
 

@@ -206,7 +206,12 @@ _CALIBRATIONS = (
     Finding(
         code="response_inexact",
         value=0.11,
-        details={"brightness": 0.2, "needed": 0.07, "help": "add a frame of exposure 0.03"},
+        details={
+            "brightness": 0.2,
+            "needed": 0.07,
+            "help": "add a frame of exposure 0.03",
+            "has_profile": True,
+        },
         remedies={"keep": True},
     ),
     Finding(code="noise_misfit", value=4.2, remedies={"calibrate_response": None}),

@@ -13,7 +13,6 @@ from camctl.calibration.intervals import Z_95
 from camctl.calibration.limits import DIM, FEW, LEAST_PATCHES, MOST_MOVED
 from camctl.calibration.refusals import all_saturated, moved
 from camctl.calibration.response.fit import ChartSamples, ResponseFit
-from camctl.calibration.response.labels import LabelCheck, contradiction_error
 from camctl.calibration.response.matches import Matches
 from camctl.calibration.response.series import Series
 from camctl.errors import DataError
@@ -29,9 +28,6 @@ _JUDGED = (0.05, 0.95)
 #: Half the 95 % interval of irradiance, relative, up to which a response is kept: it changes a
 #: logarithmic picture over 1:1,000 by 1 % of its range.
 KEPT = 0.07
-#: Root mean square of these from which a response is refused: random film and camera responses
-#: differ by as much from sRGB (root mean square over 3000), which needs no measurement.
-REFUSED = 0.4
 #: Factor between exposures that is wide: larger ones show less of the curve (bench_response.py).
 _WIDE_STEP = 2.5
 #: Patches whose light deviates by this much have moved, relative.
@@ -152,12 +148,10 @@ class Intervals(NamedTuple):
     Attributes:
         widest: the largest of them
         brightness: where it is, a share of full scale
-        mean: root mean square
     """
 
     widest: float
     brightness: float
-    mean: float
 
 
 def intervals_of(record: ResponseRecord) -> Intervals | None:
@@ -172,29 +166,14 @@ def intervals_of(record: ResponseRecord) -> Intervals | None:
         low, high = np.clip(channel.measured, *_JUDGED).tolist()
         brightness = np.linspace(low, high, 181)
         half = Z_95 * np.interp(brightness, channel.brightness, channel.deviation)
-        mean = float(np.sqrt(np.mean(np.square(half))))
-        found.append(Intervals(float(half.max()), float(brightness[half.argmax()]), mean))
+        found.append(Intervals(float(half.max()), float(brightness[half.argmax()])))
     return max(found)
 
 
-def check_interval(record: ResponseRecord, exposures: Sequence[float], labels: LabelCheck) -> None:
-    """Check that a response is known better than without any measurement.
-
-    Raises:
-        DataError: it is not; says why, and what would help
-    """
-    intervals = intervals_of(record)
-    if intervals is None or intervals.mean <= REFUSED:
-        return
-    known = f"the response would be known to +-{intervals.mean:.0%} only"
-    # An unusual slope alone is no proof against exposures where the curve is hardly known.
-    if labels.finding is not None and np.any(labels.corrections != 1):
-        raise contradiction_error(labels.finding, f": {known}")
-    raise DataError(known, hint=helpful_exposures(exposures, intervals.brightness))
-
-
-def inexactness(record: ResponseRecord, exposures: Sequence[float]) -> Finding | None:
-    """Return why a response is not exact enough to be used; None where it is."""
+def inexactness(
+    record: ResponseRecord, exposures: Sequence[float], *, has_profile: bool
+) -> Finding | None:
+    """Return why a response is not exact enough for a profile; None where it is."""
     intervals = intervals_of(record)
     if intervals is None or intervals.widest <= KEPT:
         return None
@@ -205,8 +184,9 @@ def inexactness(record: ResponseRecord, exposures: Sequence[float]) -> Finding |
             "brightness": intervals.brightness,
             "needed": KEPT,
             "help": helpful_exposures(exposures, intervals.brightness),
+            "has_profile": has_profile,
         },
-        remedies={"keep": True},
+        remedies={"keep": True} if has_profile else {},
     )
 
 
@@ -258,7 +238,8 @@ def check_order_of_patches(series: Series) -> None:
 def check_patches(series: Series, channel: str, fit: ResponseFit) -> None:
     """Check that the scene stood still, by the light of patches in neighbouring exposures.
 
-    A factor that all patches have does not count: it is one of the exposure or of the light.
+    A factor that all patches have does not count: it is one of the exposure or of the light.  Nor
+    does what noise, or a curve that is hardly known, may be.
 
     Args:
         series: the frames
@@ -271,9 +252,13 @@ def check_patches(series: Series, channel: str, fit: ResponseFit) -> None:
     for pair in series.neighbours(channel):
         if pair.levels.shape[1] < LEAST_PATCHES:
             continue
-        light = fit.light[pair.levels].mean(axis=2)
-        errors = np.log(light[1] / light[0])
-        share = float(np.mean(np.abs(errors - np.median(errors)) > _MOVED))
+        low, high = fit.light[pair.levels]
+        ratios = high.mean(axis=1) / low.mean(axis=1)
+        scatter = (high - ratios[:, None] * low).std(axis=1) / high.mean(axis=1)
+        curve = np.interp(pair.levels, fit.edges, fit.deviation).mean(axis=2)
+        deviations = np.sqrt(scatter**2 / low.shape[1] + np.square(curve).sum(axis=0))
+        errors = np.abs(np.log(ratios / np.median(ratios)))
+        share = float(np.mean(errors > _MOVED + Z_95 * deviations))
         if share > MOST_MOVED:
             names = f"{series.names[pair.short]} and {series.names[pair.long]}"
             raise moved(f"{share:.0%} of the picture differs between {names}")

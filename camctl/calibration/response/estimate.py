@@ -21,7 +21,6 @@ from camctl.calibration.limits import FEW
 from camctl.calibration.response.chart import ChartPatch, chart_findings, chart_samples
 from camctl.calibration.response.checks import (
     check_frames,
-    check_interval,
     check_order_of_patches,
     check_patches,
     check_range,
@@ -161,9 +160,6 @@ def estimate_response(
     if estimate_ratios:
         exposures = np.exp(np.mean([np.log(fit.exposures) for fit in fits], axis=0))
     record = _record(series, channels, fits, saturating)
-    if is_scene_checked and not estimate_ratios:
-        with noted():
-            check_interval(record, series.exposures, labels)
     return ResponseEstimate(
         record=record,
         exposures=tuple((exposures / exposures[0]).tolist()),
