@@ -8,7 +8,7 @@ Frames are clipped at black and white, and the distributions of the frames are c
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,13 +47,17 @@ away from black and white, have a normal sum (the mean of a step is exact to 1e-
 _LEAST_FOURIER = 32
 """Sums from which a convolution is faster by Fourier transforms."""
 
+_MOST_TOGETHER = 1 << 16
+"""Irradiances times frames that are looked at together: arrays of half a megabyte."""
+
 _EVEN = 1e-6
 """Relative differences of the steps of a quantiser up to which they count as equal."""
 
 
 def normal_cdf(x: FloatArray) -> FloatArray:
     """Return the normal distribution function, to 1e-7; 0 and 1 beyond `NORMAL_REACH`."""
-    place = np.clip((x + NORMAL_REACH) * _NORMAL_STEPS, 0, _NORMAL_RISE.size - 1)
+    place = (x + NORMAL_REACH) * _NORMAL_STEPS
+    np.minimum(np.maximum(place, 0, out=place), _NORMAL_RISE.size - 1, out=place)
     index = place.astype(np.intp)
     place -= index
     place *= _NORMAL_RISE[index]
@@ -177,40 +181,92 @@ class NoisySum:
                 found |= is_wide & (np.abs(x - end) < reach)
         return found
 
-    def probabilities(self, E: FloatArray, z: float = 0.0) -> tuple[NDArray[np.intp], FloatArray]:
-        """Return the smallest possible sum at each E (Q,), and the probabilities from it (W, Q).
+    def probabilities(
+        self, E: FloatArray, firsts: NDArray[np.intp], z: float = 0.0
+    ) -> Iterator[tuple[NDArray[np.intp], FloatArray]]:
+        """Yield the smallest possible sum at each E of a part (q,), and the probabilities from it.
 
-        `z` is the pixel's offset in units of the DSNU.  Neighbouring E should be similar: W is the
-        number of sums that the widest distribution needs.
+        The latter are (W, q), where W is the number of sums that the widest distribution needs:
+        neighbouring E should be similar.
+
+        Args:
+            E: irradiances (Q,)
+            firsts: where each part of them begins, ascending from 0
+            z: the pixel's offset in units of the DSNU
         """
-        start = np.zeros(E.size, dtype=np.intp)
-        probability = np.ones((1, E.size))
-        mean, variance = np.zeros(E.size), np.zeros(E.size)
-        for frame in self.frames:
-            x = frame.signal(E, z)
-            sigma = np.maximum(frame.deviation(E), 1e-9 / frame.full)
-            thresholds = frame.thresholds
-            low = np.searchsorted(thresholds, x - NORMAL_REACH * sigma, "right")
-            high = np.searchsorted(thresholds, x + NORMAL_REACH * sigma, "right")
-            width = int((high - low).max()) + 1
-            if width == 1:  # black or white, or far from each threshold
-                start = start + low
-                continue
-            unclipped = low.min() > 0 and high.max() < thresholds.size
-            if unclipped and frame.step and sigma.min() >= _LEAST_MERGED * frame.step:
-                mean += (x - thresholds[0]) / frame.step + 0.5
-                variance += (sigma / frame.step) ** 2 + 1 / 12
-                continue
-            index = low + np.arange(width + 1)[:, np.newaxis]
-            next_threshold = thresholds[np.clip(index - 1, 0, thresholds.size - 1)]
-            above = normal_cdf((x - next_threshold) / sigma)
-            above[0] = 1.0
-            above[index > high] = 0.0
-            start, probability = start + low, _convolve(probability, above[:-1] - above[1:])
-        if variance.any():
-            low, single = _rounded_normal(mean, np.sqrt(variance - 1 / 12))
-            start, probability = start + low, _convolve(probability, single)
-        return start, probability
+        together = max(1, _MOST_TOGETHER // len(self.frames))
+        ends = np.append(firsts[1:], E.size)
+        place = 0
+        while place < firsts.size:
+            begin = int(firsts[place])
+            after = max(place + 1, int(np.searchsorted(ends, begin + together, "right")))
+            yield from self._some(E[begin : ends[after - 1]], firsts[place:after] - begin, z)
+            place = after
+
+    def _some(
+        self, E: FloatArray, firsts: NDArray[np.intp], z: float
+    ) -> Iterator[tuple[NDArray[np.intp], FloatArray]]:
+        """Yield what `probabilities` does, for all parts at once where frames need no convolution.
+
+        A frame that is black or white in a part, or far from each threshold, adds its one value;
+        the means and variances of frames whose quantiser is dithered add up.
+        """
+        x = np.array([frame.signal(E, z) for frame in self.frames])
+        sigma = np.array([np.maximum(f.deviation(E), 1e-9 / f.full) for f in self.frames])
+        low, high = (
+            np.array(
+                [
+                    np.searchsorted(frame.thresholds, each, "right")
+                    for frame, each in zip(self.frames, ends, strict=True)
+                ]
+            )
+            for ends in (x - NORMAL_REACH * sigma, x + NORMAL_REACH * sigma)
+        )
+        step = np.array([[frame.step] for frame in self.frames])
+        last = np.array([[frame.thresholds.size] for frame in self.frames])
+        width = np.maximum.reduceat(high - low, firsts, axis=1) + 1
+        unclipped = (np.minimum.reduceat(low, firsts, axis=1) > 0) & (
+            np.maximum.reduceat(high, firsts, axis=1) < last
+        )
+        dithered = np.minimum.reduceat(sigma, firsts, axis=1) >= _LEAST_MERGED * step
+        merged = (width > 1) & unclipped & (step > 0) & dithered
+        sizes = np.diff(np.append(firsts, E.size))
+        start = np.sum(low * np.repeat(width == 1, sizes, axis=1), axis=0)
+        weight = np.repeat(merged, sizes, axis=1) / np.where(step > 0, step, 1.0)
+        first = np.array([[frame.thresholds[0]] for frame in self.frames])
+        mean = np.sum((x - first) * weight + 0.5 * (weight > 0), axis=0)
+        variance = (
+            np.sum((sigma * weight) ** 2, axis=0) + np.repeat(merged.sum(axis=0) - 1, sizes) / 12
+        )
+        for part, begin in enumerate(firsts.tolist()):
+            q = slice(begin, begin + int(sizes[part]))
+            at, found = start[q], [np.ones((1, int(sizes[part])))]
+            for frame in np.flatnonzero((width[:, part] > 1) & ~merged[:, part]).tolist():
+                ends = low[frame, q], high[frame, q]
+                found.append(self._single(frame, x[frame, q], sigma[frame, q], *ends))
+                at = at + low[frame, q]
+            if merged[:, part].any():
+                least, single = _rounded_normal(mean[q], np.sqrt(variance[q]))
+                at = at + least
+                found.append(single)
+            yield at, _convolved(found)
+
+    def _single(
+        self,
+        place: int,
+        x: FloatArray,
+        sigma: FloatArray,
+        low: NDArray[np.intp],
+        high: NDArray[np.intp],
+    ) -> FloatArray:
+        """Return the probabilities of a frame's values from `low` to `high`, (W, q)."""
+        thresholds = self.frames[place].thresholds
+        index = low + np.arange(int((high - low).max()) + 2)[:, np.newaxis]
+        next_threshold = thresholds[np.minimum(np.maximum(index - 1, 0), thresholds.size - 1)]
+        above = normal_cdf((x - next_threshold) / sigma)
+        above[0] = 1.0
+        above[index > high] = 0.0
+        return np.asarray(above[:-1] - above[1:])
 
 
 def _rounded_normal(mean: FloatArray, sigma: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
@@ -222,18 +278,32 @@ def _rounded_normal(mean: FloatArray, sigma: FloatArray) -> tuple[NDArray[np.int
     return low, above[:-1] - above[1:]
 
 
-def _convolve(a: FloatArray, b: FloatArray) -> FloatArray:
+def _convolved(parts: Sequence[FloatArray]) -> FloatArray:
+    """Return the convolutions of the columns of all, (W1 + W2 - 1 ..., Q) from (W, Q) each."""
+    total, *narrow = sorted((each for each in parts if len(each) <= _LEAST_FOURIER), key=len)
+    for each in narrow:
+        total = _added(total, each)
+    wide = [each for each in parts if len(each) > _LEAST_FOURIER]
+    if not wide:
+        return total
+    if len(wide) == 1 and len(total) <= _LEAST_FOURIER:
+        return _added(wide[0], total)
+    size = len(total) + sum(len(each) - 1 for each in wide)
+    length = 1 << (size - 1).bit_length()
+    length = 3 * length // 4 if size <= 3 * length // 4 else length
+    product = np.fft.rfft(total, length, axis=0)
+    for each in wide:
+        product *= np.fft.rfft(each, length, axis=0)
+    return np.maximum(np.fft.irfft(product, length, axis=0)[:size], 0.0)
+
+
+def _added(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the convolutions of the columns, (V + W - 1, Q) from (V, Q) and (W, Q)."""
     if len(b) > len(a):
         a, b = b, a
     if len(b) == 1:
         return a * b
-    size = len(a) + len(b) - 1
-    if len(b) > _LEAST_FOURIER:
-        length = 1 << (size - 1).bit_length()
-        product = np.fft.rfft(a, length, axis=0) * np.fft.rfft(b, length, axis=0)
-        return np.maximum(np.fft.irfft(product, axis=0)[:size], 0.0)
-    total = np.zeros((size, a.shape[1]))
+    total = np.zeros((len(a) + len(b) - 1, a.shape[1]))
     for shift, each in enumerate(b):
         total[shift : shift + len(a)] += each * a
     return total

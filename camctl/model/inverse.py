@@ -193,13 +193,13 @@ class Posterior:
         chunk = int(np.clip(v.size // CHUNKS, LEAST_CHUNK, MOST_CHUNK))
         E = self._response.inverse(v)
         changes = np.flatnonzero(np.diff(self.sum.clips_widely(E))) + 1
-        firsts = np.unique(np.append(np.arange(0, v.size, chunk), changes)).tolist()
-        for first, last in zip(firsts, [*firsts[1:], v.size], strict=True):
-            part = slice(first, last)
-            for z, weight in self._offsets:
-                start, probability = self.sum.probabilities(E[part], z)
+        firsts = np.unique(np.append(np.arange(0, v.size, chunk), changes))
+        ends = [*firsts[1:].tolist(), v.size]
+        for z, weight in self._offsets:
+            found = self.sum.probabilities(E, firsts, z)
+            for first, last, (start, probability) in zip(firsts.tolist(), ends, found, strict=True):
                 columns = start + np.arange(len(probability))[:, np.newaxis]
-                yield part, np.minimum(columns, self.sum.top), weight * probability
+                yield slice(first, last), np.minimum(columns, self.sum.top), weight * probability
 
     def _totals(self, weights: FloatArray, v: FloatArray) -> FloatArray:
         """Return the sums of (m, nodes) weights x probability for each sum, (m, top + 1)."""

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -191,13 +192,13 @@ def test_few_irradiances_are_convolved_where_white_cuts_off_much_noise(
     noise = [FrameNoise(0.8, 3.0)] * 4
     posterior = Posterior(camera, LOG, noise)
     expected, sizes = posterior.mse, []
-    convolve = distribution._convolve
+    convolved = distribution._convolved
 
-    def counted(a: FloatArray, b: FloatArray) -> FloatArray:
-        sizes.append(min(len(a), len(b)) * a.shape[1])
-        return convolve(a, b)
+    def counted(parts: Sequence[FloatArray]) -> FloatArray:
+        sizes.append(sum(sorted(each.size for each in parts)[:-1]))
+        return convolved(parts)
 
-    monkeypatch.setattr(distribution, "_convolve", counted)
+    monkeypatch.setattr(distribution, "_convolved", counted)
     assert Posterior(camera, LOG, noise).mse == expected
     apart, sizes = sum(sizes), []
     monkeypatch.setattr(NoisySum, "clips_widely", lambda self, E: np.zeros(E.size, dtype=bool))

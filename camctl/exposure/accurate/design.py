@@ -34,6 +34,9 @@ all of them."""
 MAX_ROUNDS = 60
 """Exchanges in a row, at most: a set of 16 is replaced some times over."""
 
+MOST_EXCHANGED = 16
+"""Frames of a set of which one may be exchanged: of more frames, neighbours are nearly the same."""
+
 TUNED, IMPROVED = 4, 4
 """Sets that are tuned to a time, and sets of which frames are then exchanged if it is thorough."""
 
@@ -44,12 +47,16 @@ accurate, with 4 less than 0.02 % more."""
 NEAR_MSE = 1.02
 """Ratio of estimated errors up to which either set may be the better one: 1 % of the levels."""
 
+ENOUGH = 1e-4
+"""Gain in the estimated error up to which a round of changes is the last: 0.005 % of the levels,
+while the ratios of exact levels to the estimate differ by 0.22 % between sets."""
+
 CHEAPER = 10.0
 """Factor of the weight of time at which short frames are tried beside those of the best merit: many
 of them may bring what one long frame does."""
 
 MOST_PATTERNS = 4000
-"""Ways to share the gains among frames that are compared at once, at most: some 20 ms.  16 frames
+"""Ways to share the gains among frames that are compared at once, at most: some 10 ms.  16 frames
 share 5 gains in 3,876 ways; of more frames, neighbours keep the same gain."""
 
 NEAR_PATTERN = 1.1
@@ -71,8 +78,8 @@ class DesignSearch(TunedSets):
 
     def __init__(self, frames: FrameAccuracy, base: float, counts: tuple[int, int]) -> None:
         super().__init__(frames, base, counts)
-        self._trace: list[Design] = []
-        self._weights, self._traced_weight = list(WEIGHTS), math.inf
+        self._traced: list[list[Design]] = []  # for each weight
+        self._numbered = 0  # of these with all numbers of frames
 
     @cached_property
     def _coarse(self) -> NDArray[np.float32]:
@@ -109,7 +116,8 @@ class DesignSearch(TunedSets):
     ) -> Design | None:
         """Return the best set with one frame changed; None: none is within `limit`."""
         rest, rest_time, has_base = self.rests(design)
-        rest = rest[:, :, ::COARSER]
+        places = np.append(_some_of(design.n), design.n)
+        rest, rest_time, has_base = rest[:, places, ::COARSER], rest_time[places], has_base[places]
         fewer = np.where(
             has_base, self.merits(self.frames.mse(rest, COARSER), rest_time, weight), np.inf
         )
@@ -119,14 +127,15 @@ class DesignSearch(TunedSets):
         mse = self.frames.mse(rest[:, :, np.newaxis] + self._coarse[:, np.newaxis], COARSER)
         allowed = (time <= limit) & (has_base[:, np.newaxis] | (self.log_exposure <= SAME))
         values = np.where(allowed, self.merits(mse, time, weight), np.inf)
-        place, option = divmod(int(values.argmin()), self.cost.size)
-        added, found = [option], float(values[place, option])
+        row, option = divmod(int(values.argmin()), self.cost.size)
+        added, found = [option], float(values[row, option])
         if sizes and design.n > self.counts[0]:
-            least = int(fewer[: design.n].argmin())
+            least = int(fewer[:-1].argmin())
             if fewer[least] < found:
-                place, added, found = least, [], float(fewer[least])
+                row, added, found = least, [], float(fewer[least])
         if not math.isfinite(found):
             return None
+        place = int(places[row])
         return self.changed(design, added, [place] if place < design.n else [])
 
     def trace(
@@ -136,30 +145,45 @@ class DesignSearch(TunedSets):
         levels: float = math.inf,
         weight: float = 0.0,
         count: float = math.inf,
+        rough: bool = False,
     ) -> list[Design]:
         """Return sets along the front, the shortest first: for `WEIGHTS`, and for each number.
 
         They go on until two take longer than `time`, one has more than `levels`, one is for a
         smaller `weight`, or one has more frames than `count`; what was traced before is not traced
-        again.
+        again.  If it is `rough` one that takes longer is enough, and numbers may be left out.
         """
-        while (
-            len(self._weights) > 0
-            and sum(each.time > time * (1 + SAME) for each in self._trace[-2:]) < 2
-            and not (self._trace and self._trace[-1].levels > levels)
-            and not (self._trace and self._trace[-1].n > count)
-            and not (self._trace and self._traced_weight < weight)
-        ):
-            self._traced_weight = next_weight = self._weights.pop(0)
-            current = self._trace[-1] if self._trace else self.fastest(self.counts[0])
-            best = self.tuned(self.exchanged(current, next_weight), next_weight)
-            while current.n + 1 < best.n:
-                current = self.tuned(self._added(current, next_weight), next_weight)
-                self._trace.append(current)
-            self._trace.append(best)
-        ordered = sorted(self._trace, key=lambda each: (each.time, each.mse))
+        beyond = 1 if rough else 2
+        while True:
+            if not rough:
+                self._trace_numbers()
+            traced = [each for group in self._traced for each in group]
+            if (
+                len(self._traced) == len(WEIGHTS)
+                or sum(each.time > time * (1 + SAME) for each in traced[-beyond:]) == beyond
+                or (traced and traced[-1].levels > levels)
+                or (traced and traced[-1].n > count)
+                or (traced and WEIGHTS[len(self._traced) - 1] < weight)
+            ):
+                break
+            next_weight = WEIGHTS[len(self._traced)]
+            current = traced[-1] if traced else self.fastest(self.counts[0])
+            self._traced.append([self.tuned(self.exchanged(current, next_weight), next_weight)])
+        ordered = sorted(traced, key=lambda each: (each.time, each.mse))
         least = np.minimum.accumulate([math.inf, *(each.mse for each in ordered)])
         return [each for each, before in zip(ordered, least, strict=False) if each.mse < before]
+
+    def _trace_numbers(self) -> None:
+        """Add sets of the numbers of frames between those for one weight and for the next."""
+        for place in range(self._numbered, len(self._traced)):
+            weight, (best,) = WEIGHTS[place], self._traced[place]
+            current = self._traced[place - 1][-1] if place else self.fastest(self.counts[0])
+            between = []
+            while current.n + 1 < best.n:
+                current = self.tuned(self._added(current, weight), weight)
+                between.append(current)
+            self._traced[place] = [*between, best]
+        self._numbered = len(self._traced)
 
     def _added(self, design: Design, weight: float) -> Design:
         """Return a set with the best frame added, and each frame then exchanged."""
@@ -203,7 +227,7 @@ class DesignSearch(TunedSets):
 
         `limit` is as for `within`.
         """
-        traced = self.trace(time=limit)
+        traced = self.trace(time=limit, rough=True)
         beside = [each for each in traced if each.time <= limit][-1:]
         beside += [each for each in traced if each.time > limit][:1]
         possible = [each for each in beside if self.least_time(each.n) <= limit * (1 + SAME)]
@@ -235,18 +259,23 @@ class DesignSearch(TunedSets):
         if thorough and not self.is_list:
             kept.append(self.scaled(self.evened(kept[0]), limit))
         found = _best_of_each([*(self._improved(each, limit) for each in kept), *tuned])
+        known: dict[int, float] = {}
         while thorough:
-            found = _best_of_each([*found, *self._resized_on(found[0], limit)])
-            best = found[0].mse
+            found = _best_of_each([*found, *self._resized_on(found[0], limit, known)])
+            known, best = {each.n: each.mse for each in found}, found[0].mse
             near = [each for each in found if each.mse < best * NEAR_MSE][:REGAINED]
             regained = (self._regained_together(each, limit) for each in near)
             found = _best_of_each([*found, *regained])
-            if not found[0].mse < best * (1 - BETTER):
+            if not found[0].mse < best * (1 - ENOUGH):
                 break
         return found
 
-    def _resized_on(self, design: Design, limit: float) -> list[Design]:
-        """Return sets with one frame more each, and with one less, down to those clearly worse."""
+    def _resized_on(self, design: Design, limit: float, known: dict[int, float]) -> list[Design]:
+        """Return sets with one frame more each, and with one less, down to those clearly worse.
+
+        It ends where a set is no better than one of so many frames for which it was done before,
+        whose errors are `known`.
+        """
         found: list[Design] = []
         for resized in (self._larger, self._smaller):
             current = design
@@ -260,6 +289,8 @@ class DesignSearch(TunedSets):
                 if not self.is_list:  # there it would change the number
                     current = self._improved(current, limit)
                 found.append(current)
+                if current.mse >= known.get(current.n, math.inf) * (1 - ENOUGH):
+                    break
         return found
 
     def _improved(self, design: Design, limit: float) -> Design:
@@ -299,19 +330,22 @@ class DesignSearch(TunedSets):
         """
         parts, cost = self.at_each_gain(design)
         ends = _shares(design.n, self.gains.size)
-        starts = np.concatenate([np.zeros_like(ends[:, :1]), ends[:, :-1]], axis=1)
-        each, coarse = np.arange(self.gains.size), parts[..., ::COARSER]
+        coarse = parts[..., ::COARSER]
         sums = np.concatenate([np.zeros_like(coarse[:, :, :1]), coarse.cumsum(axis=2)], axis=2)
         times = np.concatenate([np.zeros_like(cost[:, :1]), cost.cumsum(axis=1)], axis=1)
-        total = (sums[:, each, ends] - sums[:, each, starts]).sum(axis=2)
-        time = (times[each, ends] - times[each, starts]).sum(axis=1)
+        # From all frames at the last gain: up to each end, one gain takes the place of the next.
+        total, time = sums[:, -1, -1:], times[-1, -1]
+        for gain in range(self.gains.size - 1):
+            total = total + (sums[:, gain] - sums[:, gain + 1])[:, ends[:, gain]]
+            time = time + (times[gain] - times[gain + 1])[ends[:, gain]]
         merit = self.merits(self.frames.mse(total, COARSER), time, self.weight_of(design))
-        largest = np.where(ends > starts, np.arange(self.gains.size), 0).max(axis=1)
+        frames = np.diff(ends, axis=1, prepend=0)  # of each gain
+        largest = np.where(frames > 0, np.arange(self.gains.size), 0).max(axis=1)
         found = []
         for gain in np.unique(largest).tolist():
             index = np.flatnonzero(largest == gain)
             chosen = int(index[merit[index].argmin()])
-            gains = np.repeat(np.arange(self.gains.size), ends[chosen] - starts[chosen])
+            gains = np.repeat(np.arange(self.gains.size), frames[chosen])
             gains[0] = design.gain[0]
             if np.any(gains != design.gain):
                 place = np.clip(design.log_exposure, *self.limits(gains))
@@ -365,6 +399,11 @@ class DesignSearch(TunedSets):
         distance = np.abs(self.log_exposure - design.log_exposure[place])
         distance = distance + np.abs(self.gain - design.gain[place])
         return np.asarray(np.argsort(distance, kind="stable")[:NEAR])
+
+
+def _some_of(n: int) -> NDArray[np.intp]:
+    """Return all places of n frames, or `MOST_EXCHANGED` of them."""
+    return np.unique(np.linspace(0, n - 1, min(n, MOST_EXCHANGED)).astype(np.intp))
 
 
 def _best_of_each(designs: Iterable[Design]) -> list[Design]:

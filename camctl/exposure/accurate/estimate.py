@@ -190,7 +190,9 @@ class FrameAccuracy:
 
         With a `step` the parts are those of every second, third, ... node.
         """
-        return np.asarray(self.errors(parts, step).mean(axis=-1) + self.fixed, dtype=np.float64)
+        errors = self.errors(parts, step)
+        mean = np.add.reduce(errors, axis=-1) / np.float32(errors.shape[-1])
+        return np.asarray(mean + self.fixed, dtype=np.float64)
 
     def derivatives(
         self, total: FloatArray, one: FloatArray, two: FloatArray
@@ -217,11 +219,15 @@ class FrameAccuracy:
     def errors(self, parts: NDArray[np.floating[Any]], step: int = 1) -> NDArray[np.floating[Any]]:
         """Return the square error in u at each node, without that of sensitivities."""
         slope, variance, shift = parts
+        squared = slope * slope
         if self.has_shift:
-            variance = variance + shift * shift
+            error = shift * shift
+            error += variance
+        else:
+            error = variance.copy()
         with np.errstate(divide="ignore", invalid="ignore"):
-            error = variance / (slope * slope)
-            error *= self.weight[::step]
+            error /= squared
+        error *= self.weight[::step]
         if self.problem.response.M <= FEW_LEVELS:
             # Errors as large as the range: they and what is known without a frame combine.
             error = 1 / (1 / np.where(error > 0, error, np.inf) + 1 / self.largest[::step])

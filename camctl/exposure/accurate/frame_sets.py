@@ -78,6 +78,10 @@ class FrameSets:
         self.gains = np.unique(available.gains)
         self.costs = available.costs
         self.is_list = available.times is not None
+        shift, least = np.log(self.gains / base), math.log(max(self.costs.least, 1e-300))
+        self._low = np.maximum(0.0, math.log(max(available.shortest, 1e-300)) + shift)
+        self._high = np.minimum(math.log(self.problem.reach), math.log(available.longest) + shift)
+        self._idle, self._unit = least + shift, base / self.gains
         self.log_exposure, self.gain = self._options()
         self.cost = self._cost(self.log_exposure, self.gain)
         self.bases = np.flatnonzero(self.log_exposure <= SAME)
@@ -113,18 +117,14 @@ class FrameSets:
 
     def limits(self, gain: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
         """Return the least and the largest ln(exposure) at gains, where any time can be set."""
-        available = self.problem.available
-        shift = np.log(self.gains[gain] / self.base)
-        low = np.maximum(0.0, math.log(max(available.shortest, 1e-300)) + shift)
-        return low, np.minimum(math.log(self.problem.reach), math.log(available.longest) + shift)
+        return self._low[gain], self._high[gain]
 
     def idle(self, gain: NDArray[np.intp]) -> FloatArray:
         """Return ln(exposure) at gains up to which more time costs nothing; -690 where it does."""
-        least = math.log(max(self.costs.least, 1e-300))
-        return np.asarray(least + np.log(self.gains[gain] / self.base))
+        return self._idle[gain]
 
     def _times(self, log_exposure: FloatArray, gain: NDArray[np.intp]) -> FloatArray:
-        return np.asarray(np.exp(log_exposure) * self.base / self.gains[gain])
+        return np.exp(log_exposure) * self._unit[gain]
 
     def _cost(self, log_exposure: FloatArray, gain: NDArray[np.intp]) -> FloatArray:
         return self.costs.each(self._times(log_exposure, gain))
@@ -140,12 +140,15 @@ class FrameSets:
             rows.append(self.frames.parts(log_exposure, value, times))
         return np.ascontiguousarray(np.concatenate(rows, axis=1))
 
-    @property
+    @cached_property
     def _table_size(self) -> int:
         return math.ceil(math.log(self.problem.reach) / DELTA) + 4
 
     def _parts(
-        self, log_exposure: FloatArray, gain: NDArray[np.intp], shift: int = 0
+        self,
+        log_exposure: FloatArray,
+        gain: NDArray[np.intp],
+        shift: int | NDArray[np.intp] = 0,
     ) -> NDArray[np.float32]:
         """Return what frames contribute, (3, ..., NODES), `shift` steps of `DELTA` further on."""
         place = log_exposure / DELTA + 1.0

@@ -34,6 +34,12 @@ SHARES = (1.0, 0.3, 0.1)
 Derivatives: TypeAlias = tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 """Gradient and Hessian of the error, and of the time."""
 
+_BESIDE = np.array([[-1], [1]])
+"""Steps of `DELTA` from an exposure, for derivatives."""
+
+Step: TypeAlias = tuple[FloatArray, float]
+"""Newton's step, and by how much it should reduce ln(mse), or the merit."""
+
 SAME_TIME = 1e-6
 """Relative difference up to which a set takes the time that it may."""
 
@@ -47,7 +53,7 @@ class TunedSets(FrameSets):
     def tuned(self, design: Design, weight: float) -> Design:
         """Return the set with its times tuned to the least merit, at the same gains."""
 
-        def step(current: Design) -> FloatArray:
+        def step(current: Design) -> Step:
             return self._step(current, self._derivatives(current), weight)
 
         def is_better(found: Design, best: Design) -> bool:
@@ -58,7 +64,7 @@ class TunedSets(FrameSets):
     def refitted(self, design: Design, limit: float) -> Design:
         """Return the set with its times tuned at the time that it takes, `limit` at most."""
 
-        def step(current: Design) -> FloatArray:
+        def step(current: Design) -> Step:
             error, time = derivatives = self._derivatives(current)
             binding = np.where(self._idles(current)[1:], 0.0, time[0])
             along = float(binding @ binding)
@@ -80,20 +86,21 @@ class TunedSets(FrameSets):
     def _descended(
         self,
         design: Design,
-        step: Callable[[Design], FloatArray],
+        step: Callable[[Design], Step],
         moved: Callable[[Design, FloatArray], Design],
         is_better: Callable[[Design, Design], bool],
     ) -> Design:
         """Return the set after Newton steps of its times for as long as they make it better.
 
-        The first of `SHARES` of a step that does so is taken.
+        The first of `SHARES` of a step that does so is taken; none that should gain less than
+        `BETTER`.
         """
         if self.is_list or design.n == 1:
             return design
         best = design
         for _ in range(MAX_STEPS):
-            change = step(best)
-            if np.abs(change).max() < SHORTEST_STEP:
+            change, gain = step(best)
+            if np.abs(change).max() < SHORTEST_STEP or gain < BETTER:
                 break
             trials = (moved(best, share * change) for share in SHARES)
             found = next((trial for trial in trials if is_better(trial, best)), None)
@@ -105,8 +112,8 @@ class TunedSets(FrameSets):
     def _moved(self, design: Design, step: FloatArray) -> Design:
         return self.design(self._stepped(design, step), design.gain)
 
-    def _step(self, design: Design, derivatives: Derivatives, weight: float) -> FloatArray:
-        """Return Newton's step of all times but the first for a weight of time.
+    def _step(self, design: Design, derivatives: Derivatives, weight: float) -> Step:
+        """Return Newton's step of all times but the first for a weight of time, and its gain.
 
         A frame that lasts exactly as long as costs nothing stays where it is if more costs more
         than it brings, and less costs accuracy.
@@ -120,7 +127,7 @@ class TunedSets(FrameSets):
         if moves.any():
             hessian = (error_2 + weight * time_2)[np.ix_(moves, moves)]
             step[moves] = _newton(gradient[moves], hessian)
-        return step
+        return step, -float(gradient @ step) / 2
 
     def _idles(self, design: Design) -> NDArray[np.bool_]:
         """Return which frames last exactly as long as costs nothing."""
@@ -148,7 +155,8 @@ class TunedSets(FrameSets):
         sum follow from them.
         """
         at, gain = design.log_exposure[1:], design.gain[1:]
-        low, high = (self._parts(at, gain, shift).astype(np.float64) for shift in (-1, 1))
+        shifted = self._parts(at, gain, _BESIDE).astype(np.float64)
+        low, high = shifted[:, 0], shifted[:, 1]
         one = (high - low) / (2 * DELTA)
         two = (high + low - 2 * design.parts[:, 1:]) / DELTA**2
         total = design.parts.sum(axis=1, dtype=np.float64)
@@ -288,7 +296,19 @@ def _scale(time: FloatArray, bottom: FloatArray, top: FloatArray, total: float) 
 
 
 def _newton(gradient: FloatArray, hessian: FloatArray) -> FloatArray:
-    """Return Newton's step downwards, each component at most `LONGEST_STEP`."""
+    """Return Newton's step downwards, each component at most `LONGEST_STEP`.
+
+    Where the Hessian is positive definite and its step is no longer than that, this is it; else the
+    step goes downwards along each of the eigenvectors.
+    """
+    try:
+        np.linalg.cholesky(hessian)
+    except np.linalg.LinAlgError:
+        pass
+    else:
+        step = np.linalg.solve(hessian, -gradient)
+        if step @ step <= LONGEST_STEP**2:
+            return np.asarray(step)
     values, vectors = np.linalg.eigh(hessian)
     along = gradient @ vectors
     values = np.maximum(np.abs(values), np.abs(along) / LONGEST_STEP + 1e-9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -60,17 +61,20 @@ class Chosen:
     front: Front | None = None
 
 
-def _largest(top: int, low: int, is_enough: Callable[[int], bool]) -> int:
-    """Return the largest place from `low` up to `top` that is enough, by halving.
+def _largest(top: int, low: int, levels: Callable[[int], float], least: float) -> int:
+    """Return the largest place from `low` up to `top` that has the least levels.
 
-    `top` where `low` is not enough, or not below it.
+    `top` where `low` has not, or is not below it.  The levels fall about evenly in their logarithm,
+    so that it is looked for where a straight line between both ends has the least.
     """
-    if low >= top or is_enough(top) or not is_enough(low):
+    if low >= top or levels(top) >= least or levels(low) < least:
         return top
     high = top
     while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if is_enough(middle) else (low, middle)
+        above, below = levels(low) / least, levels(high) / least
+        share = math.log(above) / math.log(above / below) if below > 0 else 0.5
+        middle = min(max(low + round(share * (high - low)), low + 1), high - 1)
+        low, high = (middle, high) if levels(middle) >= least else (low, middle)
     return low
 
 
@@ -133,7 +137,7 @@ def choose_range(
     if request.accuracy is not None:
         low, least = 0, _NEARLY * request.accuracy
     # A smaller range may have a few levels less, but not half of them.
-    for place in range(_largest(top, low, lambda place: possible(place) >= least), -1, -1):
+    for place in range(_largest(top, low, possible, least), -1, -1):
         if possible(place) < least:
             continue
         chosen, levels = solved(place)
