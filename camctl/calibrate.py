@@ -89,8 +89,7 @@ def response(
     """Measure the response: which brightness the camera gives to which irradiance.
 
     The scene must not move, its light must be steady, and it should have many shades from dark to
-    bright.  Where the curve is too uncertain for a profile, `response_inexact` says what
-    helps; of frames, too, whose exposures are known.
+    bright.  Where the curve is too uncertain for a profile, `response_inexact` says what helps.
 
     Args:
         source: an open camera, which shoots a series that suits the light; or frames
@@ -104,8 +103,7 @@ def response(
         estimate_ratios: the exposures are only roughly known (30 %)
         chart: "macbeth" for a chart of 24 patches that is looked for, or a file of patches, one a
             line: x, y, width, height, reflectance; one frame is enough
-        keep: do not refuse frames that seem to show movement or wrong exposures, and let what is
-            inexact pass without a finding
+        keep: refuse no frames that seem to move or have wrong exposures; no finding of inexactness
         progress: called with the share that is done
 
     Raises:
@@ -139,10 +137,8 @@ def response(
             series, estimate_ratios=estimate_ratios, chart=seen, is_kept=keep
         )
     record = estimate.record
-    has_profile = camera is not None
-    inexact = None
-    if not keep and (has_profile or estimate.exponent_error is None):  # else that is said already
-        inexact = inexactness(record, series.exposures, has_profile=has_profile)
+    is_judged = not keep and (camera or estimate.exponent_error is None)  # else it is said already
+    inexact = inexactness(record, series.exposures, has_profile=bool(camera)) if is_judged else None
     return ResponseResult(
         channels=tuple(ChannelResult.of(each, record.phase) for each in record.channels),
         phase=record.phase,
