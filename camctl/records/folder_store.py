@@ -280,7 +280,7 @@ class FolderStore:
             if isinstance(error, DataError | StorageError):
                 what, cause = error.what, error.__cause__
             if isinstance(cause, OSError) and cause.errno != errno.ENOENT:  # the frame is there
-                hint = advice(cause) or hint
+                hint = advice(cause.errno) or hint
             raise DataError(what, hint=hint) from error
 
     def picture(self, kind: str) -> NDArray[Any]:

@@ -47,6 +47,8 @@ _HEIF_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1", b
 # have "crx "), of AVI the name of a RIFF file, of Matroska and WebM that of an EBML file.
 _VIDEO_BRANDS = (b"iso", b"mp4", b"avc", b"qt", b"M4V", b"3g", b"MSNV", b"XAVC", b"dash", b"mmp4")
 _MATROSKA = b"\x1a\x45\xdf\xa3"
+# What pictures that no camera writes begin with, from a place on.
+_OTHER_PICTURES = {"WebP": (8, b"WEBP"), "GIF": (0, b"GIF8"), "BMP": (0, b"BM")}
 _DNG_VERSION = 50706
 _MIN_IS_BLACK, _RGB = 1, 2  # TIFF 6.0, PhotometricInterpretation
 
@@ -140,6 +142,12 @@ def _read(data: bytes, name: str) -> Still:
             "exposure of each is known: save them as PNG files, for instance with ffmpeg, and give "
             "their times",
         )
+    for kind, (place, begin) in _OTHER_PICTURES.items():
+        if data.startswith(begin, place):
+            raise UsageError(
+                f"{name} is a {kind} picture, which is not read",
+                hint="give the camera's own file, or convert it to PNG and give its time",
+            )
     if len(data) < _LEAST_RAW_BYTES:
         raise _damaged(name, f"it has only {len(data)} bytes")
     return _read_raw(data, name)

@@ -21,25 +21,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import StorageError
+from camctl.system.system_errors import advice
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock
 
 _OTHER_FOLDER = "choose another folder"
 
-#: Error numbers of the system, in words, with what to do.
+#: Error numbers of the system, in words: what `advice` says helps, and another folder.
 _REASONS = {
-    errno.ENOSPC: ("the disk is full", "free some space"),
-    errno.EDQUOT: ("the disk quota is used up", "free some space"),
-    errno.EFBIG: ("the file grows beyond the limit set for files", "raise the limit"),
-    errno.EACCES: ("no permission to write", _OTHER_FOLDER),
-    errno.EPERM: ("no permission to write", _OTHER_FOLDER),
-    errno.EROFS: ("the file system is read-only", _OTHER_FOLDER),
-    errno.ENOENT: ("no file can be made there", _OTHER_FOLDER),
-    errno.ENOTDIR: ("a part of the path is a file", _OTHER_FOLDER),
-    errno.EEXIST: ("a file of that name already exists", _OTHER_FOLDER),
-    errno.ENAMETOOLONG: ("its name is too long", "choose a shorter one"),
-    errno.EMFILE: ("too many files are open", "raise the limit (ulimit -n)"),
+    errno.ENOSPC: "the disk is full",
+    errno.EDQUOT: "the disk quota is used up",
+    errno.EFBIG: "the file grows beyond the limit set for files",
+    errno.ENAMETOOLONG: "its name is too long",
+    errno.EMFILE: "too many files are open",
+}
+_OF_THE_FOLDER = {
+    errno.EACCES: "no permission to write",
+    errno.EPERM: "no permission to write",
+    errno.EROFS: "the file system is read-only",
+    errno.ENOENT: "no file can be made there",
+    errno.ENOTDIR: "a part of the path is a file",
+    errno.EEXIST: "a file of that name already exists",
 }
 
 #: Message of numpy for an incomplete write, which it raises without an error number.
@@ -60,10 +63,14 @@ def storage_error(path: Path, error: OSError) -> StorageError:
     """Return the error that says in one line why `path` cannot be written, and what to do."""
     by_message = (number for message, number in _MESSAGES.items() if message in str(error))
     number = error.errno or next(by_message, 0)
-    other = (error.strerror or str(error), "check the disk, or choose another folder")
-    if _INCOMPLETE in str(error):
-        other = _UNKNOWN_LIMIT
-    what, hint = _REASONS.get(number, other)
+    if number in _OF_THE_FOLDER:
+        what, hint = _OF_THE_FOLDER[number], _OTHER_FOLDER
+    elif number in _REASONS:
+        what, hint = _REASONS[number], advice(number) or _OTHER_FOLDER
+    elif _INCOMPLETE in str(error):
+        what, hint = _UNKNOWN_LIMIT
+    else:
+        what, hint = error.strerror or str(error), "check the disk, or choose another folder"
     remedies = {"directory": None} if "choose" in hint else {}
     return StorageError(f"cannot write {path}: {what}", hint=hint, remedies=remedies)
 

@@ -30,9 +30,9 @@ _LOADING = ("failed to map segment", "annot allocate memory", "annot create shar
 _OPENCV_NO_MEMORY, _NO_MEMORY = -4, "std::bad_alloc"
 
 
-def advice(error: OSError) -> str | None:
+def advice(number: int | None) -> str | None:
     """Return what to do about an error of the system, by its number; None: it says nothing."""
-    return _ADVICE.get(error.errno or 0)
+    return _ADVICE.get(number or 0)
 
 
 def resource_error(error: BaseException) -> ResourceError | None:
@@ -75,7 +75,7 @@ def _file_error(error: OSError) -> ResourceError | None:
     reason = (error.strerror or "").lower()
     if error.filename is not None and reason:
         what = f"cannot use {error.filename}: {reason}"
-        return ResourceError(what, hint=advice(error) or "check the file")
+        return ResourceError(what, hint=advice(error.errno) or "check the file")
     if error.errno in (errno.EMFILE, errno.ENFILE):
         return ResourceError(reason, hint=_ADVICE[error.errno])
     return None

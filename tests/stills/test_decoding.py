@@ -183,7 +183,7 @@ def test_a_damaged_file_is_read_or_rejected(name: str, data: st.DataObject) -> N
 @given(data=st.binary(max_size=300), suffix=st.sampled_from([".jpg", ".tif", ".nef", ""]))
 @settings(max_examples=150)
 def test_arbitrary_bytes_are_rejected(data: bytes, suffix: str) -> None:
-    with pytest.raises(CameraProtocolError):
+    with pytest.raises((CameraProtocolError, UsageError)):
         read_still(data, "IMG" + suffix)
 
 
@@ -281,6 +281,17 @@ def test_a_video_is_called_one_and_what_to_do_is_said(begin: bytes) -> None:
         read_still(begin + bytes(100), "VID_1.mp4")
     assert "video" in raised.value.what
     assert "photographs of several exposures" in raised.value.hint
+
+
+@pytest.mark.parametrize("kind", ["WebP", "GIF", "BMP"])
+def test_intact_pictures_of_other_formats_are_not_called_damaged(kind: str) -> None:
+    data = b"GIF89a" + bytes(100)
+    if kind != "GIF":
+        data = cv2.imencode(f".{kind.lower()}", RGB8)[1].tobytes()
+    with pytest.raises(UsageError) as raised:
+        read_still(data, "a.jpg")
+    assert kind in raised.value.what
+    assert "convert" in raised.value.hint
 
 
 def test_four_inks_are_named() -> None:
