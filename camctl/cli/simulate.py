@@ -292,7 +292,8 @@ def _to_text(frame: _SimulatedFrame, *, explain: bool) -> str:
 _TABLE_NOTE = """\
 DN: brightness levels of the sensor. The bound is the largest change of any sample if this effect
 alone is left out; where wells overflow, the end of a streak of charge can change more.
-Times are estimates for a first frame, from the cost of each effect measured on one core."""
+Times are estimates for frames after the first, from the cost of each effect measured on one core:
+the light of a scene at rest is kept, with what the optics make of it."""
 
 
 def _comparison_rows(comparison: Comparison, plan: FramePlan) -> list[tuple[str, str]]:
@@ -309,8 +310,8 @@ def _comparison_rows(comparison: Comparison, plan: FramePlan) -> list[tuple[str,
         ),
         (
             "time saved",
-            f"{format_number(saved, 3)} of {format_number(whole, 3)} ms{share} of a first frame, "
-            f"estimated from the costs of the effects; later frames, timed here once: "
+            f"{format_number(saved, 3)} of {format_number(whole, 3)} ms{share} of a frame after "
+            f"the first, estimated from the costs of the effects; timed here once: "
             f"{format_duration(comparison.seconds)}, with every effect "
             f"{format_duration(comparison.everything_s)}",
         ),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -26,7 +26,8 @@ class Decision:
         ran: whether the frame has it
         why: the reason, for users
         lacking: why scene and sensor do not have it; None if they have it
-        milliseconds: time of the effect in a frame of this size, by its cost on one core
+        milliseconds: time of the effect in a frame of this size after the first, by its cost on one
+            core
     """
 
     name: str
@@ -154,27 +155,29 @@ def greedy(bounds: Bounds, tolerance_dn: float) -> tuple[str, ...]:
 
     Two orders are tried: most time saved for each DN first, and most time saved first.  An effect
     is added if the joint bound stays within the tolerance; of the two sets the one that saves more
-    time is returned.
+    time is returned.  What costs nothing in later frames comes last: it saves time in the first.
     """
-    fits = [(e, bounds.single[e.name]) for e in candidates(bounds, tolerance_dn)]
+    fits = [
+        (e, e.cost_in(bounds.shot), bounds.single[e.name]) for e in candidates(bounds, tolerance_dn)
+    ]
     orders = (
-        sorted(fits, key=lambda one: (one[1] / one[0].cost, -one[0].cost)),
-        sorted(fits, key=lambda one: -one[0].cost),
+        sorted(fits, key=lambda one: (not one[1], one[2] / (one[0].cost or 1), -one[0].cost)),
+        sorted(fits, key=lambda one: (-one[1], -one[0].cost)),
     )
     best: tuple[Effect, ...] = ()
     for order in orders:
         chosen: tuple[Effect, ...] = ()
-        for effect, _ in order:
+        for effect, _, _ in order:
             wider = (*chosen, effect)
             if bounds.joint([e.name for e in wider]) <= tolerance_dn:
                 chosen = wider
-        best = max(best, chosen, key=saved)
+        best = max(best, chosen, key=lambda effects: saved(effects, bounds.shot))
     return tuple(effect.name for effect in best)
 
 
-def saved(effects: Sequence[Effect]) -> float:
-    """Return the nanoseconds a sample that leaving out these effects saves."""
-    return sum(effect.cost for effect in effects)
+def saved(effects: Iterable[Effect], shot: Shot) -> float:
+    """Return the nanoseconds that leaving out these effects saves for each sample."""
+    return sum(effect.cost_in(shot) for effect in effects)
 
 
 def _decision(effect: Effect, plan: FramePlan) -> Decision:
@@ -186,7 +189,7 @@ def _decision(effect: Effect, plan: FramePlan) -> Decision:
     alone = bounds.single[name]
     own = bounds.own[name]
     change = bounds.changes[name]
-    milliseconds = effect.cost * effect.samples(shot) * 1e-6
+    milliseconds = effect.cost_in(shot) * effect.samples(shot) * 1e-6
     range_dn = 2.0**shot.sensor.bits
     size = f"{own:.3g} DN"
     if alone > 1.01 * own:

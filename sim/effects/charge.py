@@ -202,7 +202,7 @@ PIXELS = (
         "EMVA 1288: sensitivity differs from pixel to pixel, normal, relative",
         present=lambda shot: shot.sensor.pixels.prnu > 0,
         change=_prnu_change,
-        cost=3.0,
+        cost=0.6,
         apply=_prnu,
     ),
     Effect(
@@ -211,7 +211,7 @@ PIXELS = (
         "a share of the charge of the frame before, at most of a full well, stays in the pixel",
         present=lambda shot: shot.sensor.pixels.lag > 0,
         change=_lag_change,
-        cost=0.6,
+        cost=0.9,
         apply=_lag,
     ),
     Effect(

@@ -77,7 +77,7 @@ DARK = (
         " second; grows with time and temperature as dark current does",
         present=lambda shot: shot.sensor.dark.dcnu_e_s > 0,
         change=_dcnu_change,
-        cost=3.1,
+        cost=0.9,
         apply=_dcnu,
     ),
     Effect(
@@ -87,7 +87,7 @@ DARK = (
         " evenly, or evenly in the logarithm over hot_decades, which is a long tail",
         present=lambda s: s.sensor.dark.hot_share > 0 and s.sensor.dark.hot_rate_e_s > 0,
         change=lambda shot: Change(mean_e=_hottest_e(shot)),
-        cost=0.7,
+        cost=0.2,
         apply=_hot,
     ),
 )

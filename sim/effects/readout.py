@@ -117,7 +117,7 @@ READ_OUT = (
         "EMVA 1288: offsets differ from pixel to pixel, normal, electrons",
         present=lambda shot: shot.sensor.pixels.dsnu_e > 0,
         change=lambda shot: Change(read_e=LARGEST_NOISE * shot.sensor.pixels.dsnu_e),
-        cost=2.9,
+        cost=0.7,
         apply=_dsnu,
     ),
     Effect(
@@ -175,7 +175,7 @@ READ_OUT = (
         "EMVA 1288 linearity error: a bow of nonlinearity_dn in the middle of the range, DN",
         present=lambda shot: shot.sensor.read_out.nonlinearity_dn > 0,
         change=_bow_change,
-        cost=1.1,
+        cost=1.8,
         apply=_bow_adc,
     ),
     Effect(

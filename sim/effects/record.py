@@ -304,7 +304,8 @@ class Effect:
         present: returns whether sensor and scene have it at all
         change: returns what leaving it out changes
         lacking: returns why sensor and scene do not have it, where `present` is false
-        cost: nanoseconds for each of `samples`, measured on one core (bench_sensor_costs.py)
+        cost: nanoseconds for each of `samples` in frames after the first, measured on one core
+            (bench_sensor_costs.py); see `cost_in`
         varies: what `change` depends on from frame to frame of the same exposure, if on anything
         timing: for `Stage.SCENE`, returns the timing as the effect changes it
         picture: returns the whole picture as the effect changes it, (rows, columns[, 3]): light for
@@ -325,6 +326,14 @@ class Effect:
     picture: Callable[[Light, Shot], Light] | None = None
     lines: Callable[[Shot, RowTiming], Lines] | None = None
     apply: Callable[[Tile], None] | None = None
+
+    def cost_in(self, shot: Shot) -> float:
+        """Return nanoseconds for each of `samples` in frames after the first.
+
+        The light of a scene at rest is kept between frames, with all effects on it.
+        """
+        is_kept = self.picture is not None and self.stage <= Stage.SAMPLES
+        return 0.0 if is_kept and shot.view.target is None else self.cost
 
     def samples(self, shot: Shot) -> int:
         """Return on how many numbers it works: before a colour mosaic three for each pixel."""

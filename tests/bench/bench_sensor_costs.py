@@ -1,10 +1,12 @@
 """The cost of each effect of a simulated sensor against the one that its record states.
 
 Run by hand: ``python tests/bench/bench_sensor_costs.py [--compiled]``.  A cost is the CPU time that
-the effect's own functions take in frames with every effect and without caches, on one thread, over
-the samples that it works on: of the median frame, in nanoseconds.  Where several sensors have an
-effect, the geometric mean counts.  The work of motion blur and of a rolling shutter is done where
-the target is drawn, and is not counted: theirs is the difference to a frame without them.
+the effect's own functions take in frames with every effect after the first, with what is kept
+between frames, on one thread, over the samples that it works on: of the median frame, in
+nanoseconds.  Where several sensors have an effect, the geometric mean counts; the light of a scene
+at rest is kept, so that effects on it cost something before the moving target alone.  The work of
+motion blur and of a rolling shutter is done where the target is drawn, and is not counted: theirs
+is the difference to a frame without them.
 """
 
 from __future__ import annotations
@@ -87,9 +89,10 @@ def costs(case: tuple[str, str, float], rounds: int, *, compiled: bool) -> dict[
     sensor_name, scene, time_s = case
     sensor = load_sensor(sensor_name)
     view = View.of(load_scene(scene, SHAPE), sensor)
-    renderer = Renderer(view, sensor, threads=1, cache_bytes=0, compiled=compiled)
+    renderer = Renderer(view, sensor, threads=1, compiled=compiled)
     shot = renderer.shot(time_s, 1.0, 0, previous_s=time_s)
     plan = plan_frame(shot, 0.0, left_out=())
+    renderer.expose(shot, plan)
     taken: dict[str, list[float]] = defaultdict(list)
     for _ in range(rounds):
         spent = Spent()
