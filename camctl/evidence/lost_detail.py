@@ -76,8 +76,7 @@ class LostDetail:
         Args:
             brightness: (blocks, 8, 8)
         """
-        frequencies = _frequencies(brightness) / self.steps.astype(np.float32)
-        kept = np.abs(frequencies) > 0.5
+        kept = np.abs(frequencies(brightness) / self.steps.astype(np.float32)) > 0.5
         classes = np.minimum(_classes(kept), len(self.variance) - 1)
         bins = _noise_bins(brightness)
         lost = np.where(kept, self.rounded[bins], self.variance[classes, bins])
@@ -98,9 +97,9 @@ def quantisation(frames: Sequence[NDArray[np.float32]]) -> Floats | None:
     """Return the steps of the frequencies that blocks of frames show, levels; None if they do not.
 
     Args:
-        frames: brightness of blocks of each frame, (blocks, 8, 8), without clipped samples
+        frames: frequencies of blocks of each frame, (blocks, 64), without clipped samples
     """
-    values = np.concatenate([_frequencies(each) for each in frames])
+    values = np.concatenate(frames)
     known = np.array([0, *(_step(each) for each in values.T[1:])])
     shown = known > 0
     if np.count_nonzero(shown) < _LEAST_KNOWN:
@@ -110,15 +109,15 @@ def quantisation(frames: Sequence[NDArray[np.float32]]) -> Floats | None:
     return np.where(shown, known, np.maximum(np.rint(scale * example), 1))
 
 
-def lost_detail(brightness: NDArray[np.float32], steps: Floats, noise: Floats) -> LostDetail:
+def _lost_detail(values: NDArray[np.float32], steps: Floats, noise: Floats) -> LostDetail:
     """Return what the file of a frame loses.
 
     Args:
-        brightness: of blocks all over the frame, (blocks, 8, 8)
+        values: frequencies of blocks all over the frame, (blocks, 64)
         steps: of the frequencies
-        noise: standard deviation of that brightness at each one, levels, (256,)
+        noise: standard deviation of the brightness at each one, levels, (256,)
     """
-    kept = np.abs(_frequencies(brightness) / steps) > 0.5
+    kept = np.abs(values / steps) > 0.5
     classes = _classes(kept)
     scales = _scales(kept, classes, steps)
     noise = noise.reshape(_NOISE_BINS, -1).mean(axis=1)
@@ -147,16 +146,21 @@ def lost_details(
 
     Args:
         blocks: brightness of blocks all over each frame, (blocks, 8, 8)
-        noise: of each frame, see `lost_detail`
+        noise: standard deviation of the brightness of each frame at each one, levels, (256,)
     """
-    whole = [each[(each.min(axis=(1, 2)) > 1) & (each.max(axis=(1, 2)) < 254)] for each in blocks]
-    steps = quantisation(whole)
+    values = [frequencies(each) for each in blocks]
+    steps = quantisation(
+        [
+            found[(each.min(axis=(1, 2)) > 1) & (each.max(axis=(1, 2)) < LEVELS - 2)]
+            for found, each in zip(values, blocks, strict=True)
+        ]
+    )
     if steps is None:
         return ()
-    return tuple(lost_detail(each, steps, own) for each, own in zip(blocks, noise, strict=True))
+    return tuple(_lost_detail(each, steps, own) for each, own in zip(values, noise, strict=True))
 
 
-def _frequencies(brightness: NDArray[np.float32]) -> NDArray[np.float32]:
+def frequencies(brightness: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the frequencies of blocks, (blocks, 64)."""
     return np.asarray((brightness - np.float32(128)).reshape(-1, SIDE * SIDE) @ _cosines())
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from camctl.evidence.lost_detail import LEVELS, SIDE, lost_details, quantisation
+from camctl.evidence.lost_detail import LEVELS, SIDE, frequencies, lost_details, quantisation
 
 Floats = NDArray[np.float32]
 
@@ -61,7 +61,7 @@ def test_what_two_files_lose_alike_is_known_from_one(quality: int, noise: float)
 @pytest.mark.parametrize("quality", [75, 90, 95])
 def test_steps_are_seen_in_the_pixels(quality: int) -> None:
     pixels, steps = kept(texture(0.7, 1), quality)
-    found = quantisation([blocks_of(pixels)])
+    found = quantisation([frequencies(blocks_of(pixels))])
     assert found is not None
     assert np.abs(found / steps - 1).mean() < 0.15
     low = np.add.outer(np.arange(SIDE), np.arange(SIDE)).ravel() < 4
