@@ -313,7 +313,7 @@ class LightTables:
             share = spread**2 / (spread**2 + other**2)
             measured = mean + share * (samples[place][chosen] - mean)
             full = float(self.irradiance[place, -1])
-            above, narrower = _truncated((mean - full) / np.hypot(spread, other))
+            above, narrower = truncated((mean - full) / np.hypot(spread, other))
             is_white = values[place][chosen] >= self.sensor.white
             E[chosen] = np.where(is_white, mean + spread * np.sqrt(share) * above, measured)
             deviation[chosen] = spread * np.sqrt(
@@ -325,12 +325,12 @@ class LightTables:
         near = np.flatnonzero(_NEAR_ZERO * deviation > E)
         if near.size:
             spread = deviation[near].astype(np.float64)
-            above, narrower = _truncated(E[near] / spread)
+            above, narrower = truncated(E[near] / spread)
             E[near] += spread * above
             deviation[near] = spread * np.sqrt(np.maximum(1 - narrower, 1e-6))
 
 
-def _truncated(a: FloatArray) -> tuple[FloatArray, FloatArray]:
+def truncated(a: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return by how much a normal variable, cut at -a, has a larger mean and less variance.
 
     It has mean 0 and variance 1; -5 stands for any `a` below.

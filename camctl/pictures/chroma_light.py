@@ -2,7 +2,8 @@
 
 Colours change within a cell of 2 x 2 pixels where they change around it (`camctl.evidence.chroma`),
 most of all beside what is saturated, which has no colour.  There a sample may be saturated that its
-file makes darker, and says nothing then.  Frames are joined from the shortest to the longest, each
+file makes darker, and says nothing then: its weight is multiplied by the chance that it is not, as
+the other frames show it.  Frames are joined from the shortest to the longest, each
 with the inverse of its variance, and one that contradicts the shorter ones does not count: what
 saturation does to a sample makes it darker.
 """
@@ -17,7 +18,8 @@ from numpy.typing import NDArray
 
 from camctl.evidence.chroma import brightness, chroma_variance
 from camctl.evidence.lost_detail import SIDE, LostDetail
-from camctl.model.light import Floats32, LightTables
+from camctl.model.distribution import normal_cdf
+from camctl.model.light import Floats32, LightTables, truncated
 from camctl.model.sensor import CLIPPING_SIGMAS, FILE_OFFSET
 from camctl.system.picture_operations import box_means, looked_up
 
@@ -35,6 +37,8 @@ _AROUND, _KNOWN = 2, 1.0
 _BLOCK = 1 << 14
 #: More than any light.
 _BEYOND = np.float32(1e30)
+#: Exponent of odds that are beyond doubt.
+_LARGEST_EXPONENT = 50.0
 #: Rounds: in the second one, the noise is that of the light which the first one found.
 _ROUNDS = 2
 
@@ -279,37 +283,33 @@ def _joined(
         first: light and deviation without these errors, and what they add to it, (C,)
         by_cell: with the noise of a cell's mean light, whose errors choose weights less
     """
-    exposures, full = tables.exposures, np.float32(tables.sensor.full)
     reach, top = np.float32(CLIPPING_SIGMAS), np.float32(tables.sensor.highest(None))
     saturated = [each > top - reach * error for each, error in zip(values, errors, strict=True)]
-    order = _seeing(exposures, saturated)
+    order = _seeing(tables.exposures, saturated)
     light = first[0]
     samples = {at: looked_up(tables.irradiance[at], values[at]) for at in order}
     unseen = [dim | other for dim, other in zip(saturated, hidden, strict=True)]
     apart = _contradiction(tables, samples, values, errors, unseen)
-    is_hidden, is_unseen = ([each.any() for each in marks] for marks in (hidden, unseen))
+    is_dim, is_unseen = ([each.any() for each in marks] for marks in (saturated, unseen))
     is_even = np.ones(light.shape[1], np.bool_)
     for _ in range(1 if by_cell else _ROUNDS):
         bins = tables.bins(light.mean(axis=0) if by_cell else light)
-        above, weights, own, shared, least = (np.zeros(light.shape, np.float32) for _ in range(5))
-        squares, count = (np.zeros(light.shape, np.float32) for _ in range(2))
+        above, weights, own, shared, least, squares, count = np.zeros((7, *light.shape), np.float32)
         for at in order:
-            sample, saturates = samples[at], np.float32(full / exposures[at])
+            sample, saturates = samples[at], np.float32(tables.sensor.full / tables.exposures[at])
             noise = tables.variances[at].take(bins)
             error = errors[at] * tables.steps[at].take(bins)
             both = noise + np.square(error)
-            counts = ~(saturated[at] | tables.clipped[at].take(bins))
+            counts = ~((values[at] > top) | tables.clipped[at].take(bins))
             # Nothing is known, and these are not numbers, before the first frame that counts.
             mean = above / weights
             bright = mean > saturates / 4
-            if is_hidden[at] or bright.any():  # else no frame is darker than the mean
-                counts &= (weights > 0) | ~hidden[at]
+            if is_dim[at] or bright.any():  # else no frame is darker than the mean
+                counts &= (weights > 0) | ~saturated[at]
                 known = np.sqrt(own + np.square(shared)) / weights
                 counts &= ~(mean - reach * known > saturates)
                 spread = np.sqrt(np.square(known) + both)
-                darker = (sample < mean - reach * spread) & bright
-                darker |= hidden[at] & (sample < mean - spread)
-                counts &= ~darker
+                counts &= ~((sample < mean - reach * spread) & bright)
             # What may be saturated says how much light there is at least, and so do longer ones.
             reached = reach * np.sqrt(both)
             counts &= ~(sample + reached < least)
@@ -318,25 +318,76 @@ def _joined(
             if by_cell:
                 is_even &= (counts == counts[0]).all(axis=0)
             weight = counts / both
+            if is_dim[at]:
+                some = np.nonzero(counts & saturated[at])
+                below = (tables.sensor.white - values[at][some]) / errors[at][some[1]]
+                others = mean[some], known[some], spread[some]
+                here = sample[some], np.broadcast_to(error, light.shape)[some]
+                weight[some] *= _chance_of_seeing(others, here, saturates, below)
             weighted = weight * sample
             above += weighted
             squares += weighted * sample
             own += np.square(weight) * noise
             shared += weight * error
             weights += weight
-            count += counts
+            count += weight * both
         found = weights > 0
         total = weights + ~found
-        light = np.maximum(above / total, 0) + ~found * first[0]
+        light = np.asarray(above / total + ~found * first[0], np.float32)
+        narrower = _truncate(light, np.sqrt(1 / total), found)
     scatter = np.maximum(squares - np.square(above) / total, 0)
     expected = count - (own + np.square(shared)) / total
     # Where frames contradict each other, their mean is no better than any of them.
-    common = np.maximum(shared / total, apart / 2) + ~found * first[2]
-    deviation, missing = np.asarray(np.sqrt(own) / total, np.float32), np.nonzero(~found)
+    common = np.maximum(narrower * shared / total, apart / 2) + ~found * first[2]
     # What is saturated, the shortest frame says best.
-    deviation[missing] = np.where(unseen[order[0]][missing], np.inf, first[1][missing])
+    missing = np.where(unseen[order[0]], np.float32(np.inf), first[1])
+    deviation = np.where(found, np.asarray(narrower * np.sqrt(own) / total, np.float32), missing)
     sums = np.stack([each.sum(axis=0) for each in (scatter, expected)])
     return _Joined(light, deviation, common, sums), is_even & (found & (apart == 0)).all(axis=0)
+
+
+def _chance_of_seeing(
+    others: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
+    here: tuple[Floats32, Floats32],
+    saturates: np.float32,
+    below: NDArray[Any],
+) -> NDArray[Any]:
+    """Return the probability that samples are not saturated and then made darker by their file.
+
+    These are the likelihoods of both for what other frames show, a normal variable.
+
+    Args:
+        others: light that other frames show, its standard deviation, that of its difference from
+            the samples
+        here: light of the samples, and the errors of their colours as light
+        saturates: light that saturates them
+        below: how far below saturation they are, over the errors of colours
+    """
+    mean, known, spread = others
+    sample, error = here
+    is_above = normal_cdf(((mean - saturates) / known).astype(np.float64))
+    exponent = (np.square((sample - mean) / spread) - np.square(below)) / 2
+    is_saturated = is_above * np.exp(np.minimum(exponent, _LARGEST_EXPONENT)) * spread
+    # Where levels coincide, no error of colours is a difference of light.
+    either = np.where(error > 0, error + is_saturated, 1)
+    return np.asarray(error / either, np.float32)
+
+
+def _truncate(light: Floats32, spread: NDArray[Any], found: NDArray[np.bool_]) -> Floats32:
+    """Replace light near 0 by its posterior mean above 0; return the factor of its deviation.
+
+    Args:
+        light: of samples, (4, C)
+        spread: standard deviation that it was weighted with
+        found: whether frames show it
+    """
+    factor = np.ones(light.shape, np.float32)
+    near = np.nonzero(found & (light < np.float32(CLIPPING_SIGMAS) * spread))
+    if near[0].size:
+        larger, narrower = truncated((light[near] / spread[near]).astype(np.float64))
+        light[near] += spread[near] * larger
+        factor[near] = np.sqrt(np.maximum(1 - narrower, 1e-6))
+    return factor
 
 
 def _contradiction(

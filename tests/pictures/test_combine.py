@@ -284,6 +284,21 @@ def test_colours_of_jpeg_files_are_as_unsure_as_their_chroma(quality: int) -> No
     assert mine < other
 
 
+def test_light_beside_saturated_colours_is_as_exact_as_with_all_frames() -> None:
+    """Frames with another colour saturated were left out: of two, the darker one was all."""
+    real, exposures, light = camera("srgb"), (1.0, 4.0), windows()
+    lossy = []
+    for each in shot(light, exposures, real, FrameNoise(30.0, 0.7)):
+        data = cv2.imencode(".jpg", each[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 98])[1]
+        lossy.append(np.asarray(cv2.imdecode(data, 1), np.uint8)[..., ::-1])
+    found = camctl.combine(lossy, exposures, response=real)
+    mine, other = (
+        np.sqrt(np.mean(np.log(np.maximum(each, 1e-4) / light) ** 2))
+        for each in (found.irradiance, debevec(lossy, exposures, real))
+    )
+    assert mine < other
+
+
 def test_detail_that_all_jpeg_files_lose_alike_is_part_of_the_standard_deviation() -> None:
     """It is in no difference of frames: errors were twice as large as their `sd`."""
     real, exposures = camera("srgb"), tuple(1.7**k for k in range(12))
