@@ -134,7 +134,7 @@ def moved_samples(
         count += _deviates(
             before[:rows, :columns],
             after[:rows, :columns],
-            partial(reduced_by_area, size=shape[::-1]),
+            partial(_cell_means, shape=shape),
         )
     moved: NDArray[np.bool_] = count >= min(_COLOURS, len(pairs))
     moved &= _neighbours(moved) >= _NEIGHBOURS
@@ -230,6 +230,18 @@ def _medians(values: Values, group: NDArray[np.intp]) -> Values:
         members = group == each
         found[members] = np.median(values[members])
     return found
+
+
+def _cell_means(values: Values, shape: tuple[int, int]) -> Values:
+    """Return the means of cells of about equal size, each of whole samples."""
+    if all(length % cells == 0 for length, cells in zip(values.shape, shape, strict=True)):
+        return np.asarray(reduced_by_area(values, shape[::-1]))
+    for axis, cells in enumerate(shape):
+        first = -(-np.arange(cells) * values.shape[axis] // cells)
+        sums = np.add.reduceat(values, first, axis=axis)
+        sizes = np.diff(np.append(first, values.shape[axis])).astype(np.float32)
+        values = np.asarray(sums / (sizes[:, None] if axis == 0 else sizes), np.float32)
+    return values
 
 
 def _ascending_path(counts: FloatArray) -> FloatArray:
