@@ -9,7 +9,7 @@ import pytest
 import camctl
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.search.front import Front, FrontPoint
-from camctl.exposure.search.ranges import STOPS
+from camctl.exposure.search.ranges import STOPS, _largest
 from camctl.records.capture_plan import CapturePlan
 from camctl.sim.camera import SimulatedCamera
 from camctl.sim.scenes.scene import load_scene
@@ -19,6 +19,24 @@ from camctl.sim.sensors.sensor import load_sensor
 def planned(request: CaptureRequest) -> CapturePlan:
     with SimulatedCamera(load_scene("tile-floor", (48, 64)), load_sensor("standard")) as camera:
         return camctl.plan_capture(camera, request)
+
+
+@pytest.mark.parametrize("power", [0.3, 1.0, 4.0])
+@pytest.mark.parametrize("least", [0.0, 1.0, 7.0, 40.0, 79.0, 99.0, 101.0])
+def test_the_largest_range_of_enough_levels_is_found_from_few_of_them(
+    power: float, least: float
+) -> None:
+    """However the levels fall with the range, and where the largest ones have none."""
+    levels = [100.0 * (1 - (place / 14) ** power) if place < 14 else 0.0 for place in range(17)]
+    tried: set[int] = set()
+
+    def rated(place: int) -> float:
+        tried.add(place)
+        return levels[place]
+
+    enough = [place for place, each in enumerate(levels) if each >= least]
+    assert _largest(16, 0, rated, least) == (max(enough) if enough else 16)
+    assert len(tried) <= 9
 
 
 @pytest.mark.slow
