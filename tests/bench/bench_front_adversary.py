@@ -203,7 +203,7 @@ def main() -> None:
             f"  {adversary.rated} rated",
             flush=True,
         )
-    print(f"{len(gains)} cases: largest gain {max(gains):+.3%}")
+    print(f"{len(gains)} cases: largest gain {max(gains, default=0.0):+.3%}")
 
 
 if __name__ == "__main__":

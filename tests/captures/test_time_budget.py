@@ -76,7 +76,7 @@ def test_what_is_announced_and_taken_is_within_the_budget(
 @pytest.mark.parametrize("name", CAMERAS)
 @pytest.mark.parametrize("times", [(0.03,), (0.02, 0.08), (0.05, 0.4, 0.05), (0.2, 0.3, 1.5)])
 def test_costs_are_the_predicted_time(name: str, times: tuple[float, ...]) -> None:
-    """With a varying delay they are, where all but the last exposure fit into a frame interval."""
+    """With a varying delay they are, where the last exposure fits into a frame interval."""
     controls = CAMERAS[name]
     settings = [ExposureSetting(time_s) for time_s in times]
     costs = time_costs(controls, before=None, shortest_s=times[0])
@@ -85,8 +85,21 @@ def test_costs_are_the_predicted_time(name: str, times: tuple[float, ...]) -> No
     if name != "varying delay":
         assert total_s == pytest.approx(predicted_s)
         assert costs.shutter(costs.total(times), len(times)) >= sum(times) - 1e-9
-    elif max(times[:-1], default=0.0) <= controls.frame_interval_s and len(times) > 1:
+    elif times[-1] <= controls.frame_interval_s:
         assert total_s == pytest.approx(predicted_s)
+    else:
+        assert total_s > predicted_s
+
+
+@pytest.mark.parametrize("dynamic_range", [128.0, 4096.0])
+def test_a_budget_is_used_up_where_the_delay_varies(dynamic_range: float) -> None:
+    """Also by exposures that are longer than a frame interval, each of which is waited for."""
+    request = CaptureRequest("log", dynamic_range, time_budget_s=5.0)
+    with camctl.open_camera("sim", sensor="consumer", size="32x24") as camera:
+        assert camera.controls.delay_frames is None
+        plan = camctl.plan_capture(camera, request)
+    assert plan.wall_s is not None
+    assert 4.7 < plan.wall_s <= 5.0 * (1 + 1e-8)
 
 
 def test_fewer_exposures_are_estimated_where_each_takes_a_frame() -> None:
