@@ -57,38 +57,50 @@ class Rated:
 class TimeCosts:
     """What is counted as time: an exposure of shutter time t takes factor x max(t, least) + extra.
 
-    By default shutter time alone is counted.
+    The last one, which is the largest, takes `waiting` frames less.  By default shutter time alone
+    is counted.
 
     Attributes:
         factor: how many frames each exposure takes
         least: shortest time of a frame, such as the frame interval of a stream
         extra: further time of each exposure
         fixed: further time of each set
+        waiting: how many of the frames of an exposure pass before the next one alone
     """
 
     factor: float = 1.0
     least: float = 0.0
     extra: float = 0.0
     fixed: float = 0.0
+    waiting: float = 0.0
 
     def each(self, times: FloatArray) -> FloatArray:
         """Return what exposures of these shutter times take, without the time of their set."""
         return self.factor * np.maximum(times, self.least) + self.extra
 
+    def saved(self, times: FloatArray) -> FloatArray:
+        """Return what exposures of these shutter times take less as the last one."""
+        return self.waiting * np.maximum(times, self.least)
+
     def total(self, times: Sequence[float]) -> float:
-        """Return what a set takes, without its fixed time."""
-        return math.fsum(self.each(np.array(times, dtype=np.float64)))
+        """Return what a set takes, ascending in exposure, without its fixed time."""
+        array = np.array(times, dtype=np.float64)
+        return math.fsum([*self.each(array), *-self.saved(array[-1:])])
 
     def shutter(self, total: float, n: int = 1) -> float:
         """Return the longest sum of n shutter times that take `total`; less where some are short.
 
-        `total` is without the fixed time.
+        All but the last are as short as a frame then where others wait for them.  `total` is
+        without the fixed time.
         """
-        return (total - n * self.extra) / self.factor
+        others = (n - 1) * self.least if self.waiting else 0.0
+        left = total - n * self.extra - self.factor * others
+        return others + left / (self.factor - self.waiting)
 
     def in_unit(self, unit: float) -> TimeCosts:
         """Return the same for another unit of time."""
-        return TimeCosts(self.factor, self.least / unit, self.extra / unit, self.fixed / unit)
+        least, extra, fixed = self.least / unit, self.extra / unit, self.fixed / unit
+        return TimeCosts(self.factor, least, extra, fixed, self.waiting)
 
 
 @dataclass(frozen=True, eq=False)

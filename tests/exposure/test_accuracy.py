@@ -3,7 +3,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import combinations_with_replacement
+from itertools import combinations, combinations_with_replacement, product
 
 import numpy as np
 import pytest
@@ -14,7 +14,15 @@ from sampling import some
 from camctl.errors import DataError, UsageError
 from camctl.exposure.accuracy import NEAR_TIE, AccuracySolution, accurate_sets, solve_accuracy
 from camctl.exposure.accurate import judge
-from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures, Shot, TimeCosts
+from camctl.exposure.accurate.design import DesignSearch
+from camctl.exposure.accurate.estimate import FrameAccuracy
+from camctl.exposure.exposure_choices import (
+    AccuracyProblem,
+    AvailableExposures,
+    Shot,
+    TimeCosts,
+    bases,
+)
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.model.effective import EffectiveCamera
 from camctl.model.noise import FrameNoise, NoiseModel
@@ -75,7 +83,8 @@ def every_set(problem: AccuracyProblem, n: int) -> list[tuple[float, float]]:
         # An exposure that shows the darkest light above the first sixteen levels is of no use.
         if max(exposures) <= problem.reach * (1 + 1e-9):
             levels = exact_levels(problem, exposures, [gain for _, gain in chosen])
-            found.append((problem.available.costs.total([time for time, _ in chosen]), levels))
+            times = [time for _, time in sorted(zip(products, (t for t, _ in chosen), strict=True))]
+            found.append((problem.available.costs.total(times), levels))
     return found
 
 
@@ -101,9 +110,17 @@ def test_no_set_of_a_short_list_is_missed() -> None:
     assert misses(range(2)) == []
 
 
+@pytest.mark.parametrize(
+    "costs",
+    [
+        TimeCosts(least=0.1, extra=0.02, fixed=0.3),
+        TimeCosts(4.0, least=0.1, extra=0.02, fixed=0.3, waiting=3.0),
+    ],
+)
 @pytest.mark.parametrize("seed", range(6, 10))
-def test_a_limit_counts_what_exposures_take_beside_their_shutter_times(seed: int) -> None:
-    costs = TimeCosts(least=0.1, extra=0.02, fixed=0.3)
+def test_a_limit_counts_what_exposures_take_beside_their_shutter_times(
+    costs: TimeCosts, seed: int
+) -> None:
     problem, n = random_list_problem(np.random.default_rng(seed))
     problem = replace(problem, available=replace(problem.available, costs=costs))
     sets = every_set(problem, n)
@@ -112,6 +129,37 @@ def test_a_limit_counts_what_exposures_take_beside_their_shutter_times(seed: int
     found = solve_accuracy(problem, [n], total_limit=(limit + costs.fixed) * (1 + 1e-9))
     assert costs.total(found.times) <= limit * (1 + 1e-8)
     assert found.effective_levels >= (1 - NEAR_TIE) * best * (1 - 1e-9)
+
+
+@pytest.mark.parametrize("is_list", [False, True])
+@pytest.mark.parametrize("waiting", [0.0, 3.0])
+def test_sets_are_changed_at_the_time_that_they_then_take(waiting: float, is_list: bool) -> None:
+    problem = random_list_problem(np.random.default_rng(7))[0] if is_list else problem_of("log")
+    costs = TimeCosts(4.0, least=0.3, extra=0.02, fixed=0.3, waiting=waiting)
+    problem = replace(problem, available=replace(problem.available, costs=costs))
+    search = DesignSearch(FrameAccuracy(problem), bases(problem)[0], (1, 5))
+    rng = np.random.default_rng(3)
+    for n in (1, 2, 4):
+        options = [int(search.bases[0]), *rng.integers(search.cost.size, size=n - 1).tolist()]
+        design = search.changed(search.fastest(1), options, [0])
+        shots = search.shots(design)
+        assert design.time == pytest.approx(costs.total([shot.time for shot in shots]))
+        _, rest_time, _ = search.rests(design)
+        times = search.times_with(design, rest_time, np.arange(n + 1))
+        for place in range(n):
+            if n > 1:
+                rest = search.changed(design, [], [place])
+                assert rest_time[place] == pytest.approx(rest.time)
+            for option in rng.integers(search.cost.size, size=6).tolist():
+                changed = search.changed(design, [option], [place])
+                assert times[place, option] == pytest.approx(changed.time)
+                assert times[n, option] == pytest.approx(search.changed(design, [option], []).time)
+        some_options = rng.integers(search.cost.size, size=(2, 3))
+        for places in combinations(range(n), 2):
+            pairs = search.times_of_pairs(design, places, tuple(some_options))
+            for (row, one), (column, other) in product(*map(enumerate, some_options.tolist())):
+                changed = search.changed(design, [one, other], list(places))
+                assert pairs[row, column] == pytest.approx(changed.time)
 
 
 @pytest.mark.slow

@@ -22,6 +22,7 @@ from camctl.exposure.accurate.estimate import FrameAccuracy
 from camctl.exposure.accurate.frame_sets import Design
 from camctl.exposure.accurate.tuning import BETTER, LEAST_WEIGHT, TunedSets
 from camctl.exposure.settings_grid import SAME
+from camctl.model.response.camera import FloatArray
 
 WEIGHTS = (10.0, 5.0, 3.0, 2.0, 1.6, 1.3, 1.15, 1.0, 0.85, 0.7, 0.5, 0.35, 0.2, 0.1, 0.05)
 """Weights of time whose sets are traced along the front; at the last one, twice the time brings
@@ -128,7 +129,7 @@ class DesignSearch(TunedSets):
         )
         if design.n == self.counts[1] or not sizes:
             rest, rest_time, has_base = rest[:, :-1], rest_time[:-1], has_base[:-1]
-        time = rest_time[:, np.newaxis] + self.cost
+        time = self.times_with(design, rest_time, places[: rest_time.size])
         mse = self.frames.mse(rest[:, :, np.newaxis] + self._coarse[:, np.newaxis], COARSER)
         allowed = (time <= limit) & (has_base[:, np.newaxis] | (self.log_exposure <= SAME))
         values = np.where(allowed, self.merits(mse, time, weight), np.inf)
@@ -375,7 +376,8 @@ class DesignSearch(TunedSets):
         if design.n == self.counts[1] or self.least_time(design.n + 1) > limit * (1 + SAME):
             return []
         mse = self.frames.mse(design.parts.sum(axis=1)[:, np.newaxis] + self.parts)
-        merits = (self.merits(mse, design.time + self.cost, each) for each in weights)
+        (time,) = self.times_with(design, np.array([design.time]), np.array([design.n]))
+        merits = (self.merits(mse, time, each) for each in weights)
         return [self.changed(design, [int(each.argmin())], []) for each in merits]
 
     def _paired(self, design: Design, limit: float) -> Design:
@@ -384,9 +386,7 @@ class DesignSearch(TunedSets):
         for one, other in combinations(range(design.n), 2):
             first, second = (self._near(current, place) for place in (one, other))
             rest = current.parts.sum(axis=1) - current.parts[:, one] - current.parts[:, other]
-            cost = self._cost(current.log_exposure, current.gain)
-            time = current.time - cost[one] - cost[other]
-            time = time + self.cost[first, np.newaxis] + self.cost[second]
+            time = self.times_of_pairs(current, (one, other), (first, second))
             pairs = self.parts[:, first, np.newaxis] + self.parts[:, np.newaxis, second]
             total = rest[:, np.newaxis, np.newaxis] + pairs
             mse = np.where(time <= limit, self.frames.mse(total), np.inf)
@@ -396,6 +396,27 @@ class DesignSearch(TunedSets):
                     current, [int(first[row]), int(second[column])], [one, other]
                 )
         return current
+
+    def times_of_pairs(
+        self,
+        design: Design,
+        places: tuple[int, int],
+        options: tuple[NDArray[np.intp], NDArray[np.intp]],
+    ) -> FloatArray:
+        """Return what a set takes with each pair of options in place of two frames, (A, B)."""
+        first, second = options
+        kept = np.ones(design.n, np.bool_)
+        kept[list(places)] = False
+        log_exposure, gain = design.log_exposure[kept], design.gain[kept]
+        time = self._cost(log_exposure, gain).sum() + self.cost[first, np.newaxis]
+        time = time + self.cost[second]
+        last, saved = self.log_exposure[first, np.newaxis], self.saved[first, np.newaxis]
+        others = [(self.log_exposure[second], self.saved[second])]
+        if log_exposure.size:
+            others.append((log_exposure[-1:], self._saved(log_exposure[-1:], gain[-1:])))
+        for at, less in others:
+            last, saved = np.maximum(last, at), np.where(at >= last, less, saved)
+        return np.asarray(time - saved)
 
     def _near(self, design: Design, place: int) -> NDArray[np.intp]:
         """Return the settings of a list near a frame, at its gain and at the gains beside it."""

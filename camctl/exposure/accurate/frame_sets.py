@@ -67,7 +67,7 @@ class FrameSets:
     Attributes:
         log_exposure: (F,) ln(exposure) of the frames that sets are exchanged with, the options
         gain: (F,) index of the gain of each
-        cost: (F,) what each takes
+        cost, saved: (F,) what each takes, and what it takes less as the last one of a set
         bases: the indices of those that can be the shortest
     """
 
@@ -84,6 +84,7 @@ class FrameSets:
         self._idle, self._unit = least + shift, base / self.gains
         self.log_exposure, self.gain = self._options()
         self.cost = self._cost(self.log_exposure, self.gain)
+        self.saved = self._saved(self.log_exposure, self.gain)
         self.bases = np.flatnonzero(self.log_exposure <= SAME)
 
     @cached_property
@@ -129,6 +130,9 @@ class FrameSets:
     def _cost(self, log_exposure: FloatArray, gain: NDArray[np.intp]) -> FloatArray:
         return self.costs.each(self._times(log_exposure, gain))
 
+    def _saved(self, log_exposure: FloatArray, gain: NDArray[np.intp]) -> FloatArray:
+        return self.costs.saved(self._times(log_exposure, gain))
+
     @cached_property
     def _table(self) -> NDArray[np.float32]:
         """What a frame contributes at each gain and each `DELTA` of ln(exposure)."""
@@ -168,17 +172,23 @@ class FrameSets:
         log_exposure, gain = log_exposure[order], gain[order]
         parts = self._parts(log_exposure, gain)
         mse = float(self.frames.mse(parts.sum(axis=1)))
-        return Design(log_exposure, gain, parts, mse, float(self._cost(log_exposure, gain).sum()))
+        time = (
+            self._cost(log_exposure, gain).sum() - self._saved(log_exposure[-1:], gain[-1:]).sum()
+        )
+        return Design(log_exposure, gain, parts, mse, float(time))
 
     def at_each_gain(self, design: Design) -> tuple[NDArray[np.float32], FloatArray]:
         """Return what the frames of a set contribute and take at each gain, the first as it is.
 
         (3, K, n, NODES) and (K, n); exposures that a gain does not reach are changed to its next.
+        The last one is the last of the set.
         """
         gain = np.repeat(np.arange(self.gains.size)[:, np.newaxis], design.n, axis=1)
         gain[:, 0] = design.gain[0]
         log_exposure = np.clip(design.log_exposure, *self.limits(gain))
-        return self._parts(log_exposure, gain), self._cost(log_exposure, gain)
+        cost = self._cost(log_exposure, gain)
+        cost[:, -1:] -= self._saved(log_exposure[:, -1:], gain[:, -1:])
+        return self._parts(log_exposure, gain), cost
 
     def shots(self, design: Design) -> Shots:
         """Return the frames of a set, ascending in exposure."""
@@ -208,7 +218,10 @@ class FrameSets:
 
     def least_time(self, n: int) -> float:
         """Return what the n frames take that are over soonest, without the fixed time."""
-        return float(self.cost[self.bases].min() + (n - 1) * self.cost.min())
+        if n == 1:
+            return float((self.cost - self.saved)[self.bases].min())
+        others = (n - 1) * self.cost.min() - self.saved[self.cost.argmin()]
+        return float(self.cost[self.bases].min() + others)
 
     def fastest(self, n: int) -> Design:
         """Return the set of n frames of the least time; of equal times the most accurate."""
@@ -236,9 +249,28 @@ class FrameSets:
         """
         is_base = design.log_exposure <= SAME
         cost = np.append(self._cost(design.log_exposure, design.gain), 0.0)
+        saved = np.append(0.0, self._saved(design.log_exposure, design.gain)[-2:])
+        cost[-2] += saved[-2] - saved[-1]  # the one before becomes the last
         total = design.parts.sum(axis=1, keepdims=True)
         rest = np.concatenate([total - design.parts, total], axis=1)
         return rest, design.time - cost, is_base.sum() - np.append(is_base, False) > 0
+
+    def times_with(
+        self, design: Design, rest_time: FloatArray, places: NDArray[np.intp]
+    ) -> FloatArray:
+        """Return what a set takes with an option in place of each of its frames, (P, F).
+
+        `rest_time` is what it takes without the frame at each of `places`, of which the number of
+        its frames means none.
+        """
+        time = rest_time[:, np.newaxis] + self.cost
+        if self.costs.waiting:
+            last = np.where(places == design.n - 1, design.n - 2, design.n - 1)
+            at = np.where(last < 0, -np.inf, design.log_exposure[last])[:, np.newaxis]
+            saved = np.where(last < 0, 0.0, self._saved(design.log_exposure, design.gain)[last])
+            is_last = self.log_exposure >= at
+            time -= np.where(is_last, self.saved - saved[:, np.newaxis], 0.0)
+        return time
 
 
 def _thinned(log_exposure: FloatArray) -> NDArray[np.intp]:

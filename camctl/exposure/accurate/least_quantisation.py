@@ -133,7 +133,8 @@ def _in_time(search: DesignSearch, sets: FloatArray, limit: float) -> FloatArray
     unit, costs = search.base / float(search.gains[0]), search.costs
 
     def total(logs: FloatArray) -> FloatArray:
-        return np.asarray(costs.each(np.exp(logs) * unit).sum(axis=1))
+        times = np.exp(logs) * unit
+        return np.asarray(costs.each(times).sum(axis=1) - costs.saved(times[:, -1]))
 
     over = np.flatnonzero(total(sets) > limit)
     rows, factor = sets[over], np.ones(over.size)
@@ -141,7 +142,8 @@ def _in_time(search: DesignSearch, sets: FloatArray, limit: float) -> FloatArray
     for _ in range(NEWTON_STEPS):
         scaled = rows * factor[:, np.newaxis]
         times = np.exp(scaled) * unit
-        slope = np.where(times > costs.least, rows * times, 0.0).sum(axis=1) * costs.factor
+        changes = np.where(times > costs.least, rows * times, 0.0)
+        slope = changes.sum(axis=1) * costs.factor - changes[:, -1] * costs.waiting
         time = total(scaled)
         excess = time * np.log(np.maximum(time / limit, 1.0))
         factor = np.maximum(factor - excess / np.maximum(slope, 1e-300), 0.0)

@@ -110,7 +110,8 @@ class ListedSets:
             shots = search.option_shots
             for n in self.numbers:
                 found = _rows(search, n)
-                times.append(search.cost[found].sum(axis=1))
+                last = found[np.arange(len(found)), search.log_exposure[found].argmax(axis=1)]
+                times.append(search.cost[found].sum(axis=1) - search.saved[last])
                 for first in range(0, len(found), _CHUNK):
                     parts = search.parts[:, found[first : first + _CHUNK]].sum(axis=2)
                     levels.append((12 * search.frames.mse(parts)) ** -0.5)

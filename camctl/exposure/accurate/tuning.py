@@ -165,10 +165,15 @@ class TunedSets(FrameSets):
         hessian -= np.outer(gradient, gradient)
         times = self._times(at, gain)
         time = design.time + self.costs.fixed
-        rate = np.where(
-            times >= self.costs.least * (1 - SAME), self.costs.factor * times / time, 0.0
-        )
+        factor = self._factors(times.size)
+        rate = np.where(times >= self.costs.least * (1 - SAME), factor * times / time, 0.0)
         return (gradient, hessian), (rate, np.diag(rate) - np.outer(rate, rate))
+
+    def _factors(self, n: int) -> FloatArray:
+        """Return how many frames each of the last n exposures of a set takes."""
+        factor = np.full(n, self.costs.factor)
+        factor[-1:] -= self.costs.waiting
+        return factor
 
     def weight_of(self, design: Design) -> float:
         """Return the w for which a set is the best of its kind, from scaling its times."""
@@ -255,8 +260,11 @@ class TunedSets(FrameSets):
         if np.any(log_exposure > idle + SAME):  # nor should it become one that does
             high = np.where(log_exposure <= idle + SAME, np.maximum(log_exposure, low), high)
         low[0] = high[0] = floor[0] = 0.0  # the shortest exposure
-        time, bottom, top = (self._times(each, gain) for each in (log_exposure, floor, high))
-        bottom = np.maximum(bottom, self.costs.least)
+        share = self._factors(gain.size) / self.costs.factor
+        time, bottom, top = (
+            self._times(each, gain) * share for each in (log_exposure, floor, high)
+        )
+        bottom = np.maximum(bottom, self.costs.least * share)
         left = (limit * (1 - SAME) - gain.size * self.costs.extra) / self.costs.factor
         if bottom.sum() > left * (1 + 3 * SAME):
             return None

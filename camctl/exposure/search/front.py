@@ -229,11 +229,7 @@ class Front:
             limit = time_s / self._unit_s - self._problem.available.costs.fixed
             if sets.least_time(min(COUNTS)) > limit:
                 return ()
-            point = self._point(sets.within(limit, polished=False))
-            spare = self._spare_s(point) / self._unit_s
-            if spare > _LOST * limit:
-                point = self._point(sets.within(limit + spare, polished=False))
-            return (point,)
+            return (self._point(sets.within(limit, polished=False)),)
 
         found = self._kept(f"levels within {time_s!r}", find, least=0)
         return found[0].levels if found else None
@@ -307,7 +303,7 @@ class Front:
         return self.recommended if request.count is None else self.most_accurate
 
     def _within(self, budget_s: float) -> FrontPoint:
-        allowed_s, found = budget_s, list[FrontPoint]()
+        allowed_s = budget_s
         for _ in range(ATTEMPTS):
             try:
                 point = self._point(self._most_within(allowed_s))
@@ -317,30 +313,18 @@ class Front:
                 break
             over_s = point.time_s - budget_s
             if over_s <= SAME_TIME * budget_s:
-                found.append(point)
-                spare_s = self._spare_s(point)
-                if budget_s + spare_s <= allowed_s * (1 + _LOST):
-                    break
-                allowed_s = budget_s + spare_s
-                continue
+                return point
             rounded = self._shortest_steps(point)
-            if rounded.time_s <= budget_s * (1 + SAME_TIME):
-                found.append(rounded)
-                if rounded.levels > (1 - _LOST) * point.levels:
-                    break
+            fits = rounded.time_s <= budget_s * (1 + SAME_TIME)
+            if fits and rounded.levels > (1 - _LOST) * point.levels:
+                return rounded
             allowed_s = min(allowed_s - over_s, allowed_s * (1 - 1e-3))
-        if found:
-            return max(found, key=lambda each: each.levels)
+        if fits:
+            return rounded
         raise CaptureError(
             f"no settings of this camera were found that fit into {budget_s:.4g} s",
             hint="allow more time, or take fewer exposures",
         )
-
-    def _spare_s(self, point: FrontPoint) -> float:
-        """Return how much longer the search counts a set than it is predicted to take, s."""
-        costs = self._problem.available.costs.in_unit(1 / self._unit_s)
-        counted_s = costs.fixed + costs.total([setting.time_s for setting in point.settings])
-        return counted_s - point.time_s
 
     def _most_within(self, budget_s: float) -> Rated:
         limit = self._limit(budget_s)

@@ -62,9 +62,8 @@ def time_costs(
 ) -> TimeCosts:
     """Return what exposures take by `predicted_wall_s`, in seconds, before they are chosen.
 
-    Where the control delay is not constant, slots of each exposure pass before the next one; they
-    are counted for the last one, too, as if it were a frame interval: sets whose last exposure is
-    longer take less.
+    Where the control delay is not constant, a readout before a later exposure is counted in frame
+    intervals: longer frames hold more of it.
 
     Args:
         controls: of the camera
@@ -86,11 +85,11 @@ def time_costs(
     if controls.delay_frames is not None:
         waiting_s = (timing.lead_frames + controls.delay_frames) * first
         return TimeCosts(least=max(usual, readout_s), fixed=waiting_s + readout_s)
-    before_later = timing.old_frames + bool(timing.lead_frames)
+    waiting = timing.old_frames + bool(timing.lead_frames)
     extra_s = usual * max(0, math.ceil(readout_s / usual) - 1) if timing.lead_frames else 0.0
-    waiting_s = (_lead_frames(controls, first) + timing.old_frames) * first
-    fixed_s = waiting_s + readout_s - extra_s - before_later * usual  # none follows the last one
-    return TimeCosts(timing.unsettled_frames + 1 + before_later, usual, extra_s, fixed_s)
+    first_s = (_lead_frames(controls, first) + timing.old_frames) * first
+    fixed_s = first_s + readout_s - extra_s  # the first one has no slot before it
+    return TimeCosts(timing.unsettled_frames + 1 + waiting, usual, extra_s, fixed_s, waiting)
 
 
 def _first_slot_s(controls: ExposureControls, before: ExposureSetting | None) -> float:
