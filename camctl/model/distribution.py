@@ -280,10 +280,15 @@ def _rounded_normal(mean: FloatArray, sigma: FloatArray) -> tuple[NDArray[np.int
 
 def _convolved(parts: Sequence[FloatArray]) -> FloatArray:
     """Return the convolutions of the columns of all, (W1 + W2 - 1 ..., Q) from (W, Q) each."""
-    total, *narrow = sorted((each for each in parts if len(each) <= _LEAST_FOURIER), key=len)
-    for each in narrow:
-        total = _added(total, each)
+    narrow = sorted((each for each in parts if len(each) <= _LEAST_FOURIER), key=len)
     wide = [each for each in parts if len(each) > _LEAST_FOURIER]
+    total = narrow.pop(0)
+    for each in narrow:
+        if len(total) > _LEAST_FOURIER:
+            wide.append(total)
+            total = each
+        else:
+            total = _added(total, each)
     if not wide:
         return total
     if len(wide) == 1 and len(total) <= _LEAST_FOURIER:
