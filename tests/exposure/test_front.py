@@ -134,8 +134,9 @@ STEPPED_GAIN = replace(
             (STEPPED_GAIN, 1000.0, 0.5, 58.6),
             # No exchange of one frame leads to the gains of the best set.
             (STEPPED_GAIN, 4000.0, 4.0, 118.5),
-            # Several levels of a dark frame lie within one step of the estimate.
-            (STREAM, 1000.0, 3.0, 166.8),
+            # Several levels of a dark frame lie within one step of the estimate (before: 166.46;
+            # 13 frames have 166.84, and 12 have 166.77).
+            (STREAM, 1000.0, 3.0, 166.6),
         ],
         every=2,
     ),
