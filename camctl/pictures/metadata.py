@@ -22,6 +22,8 @@ from camctl.pictures.details import PictureDetails
 _COMMENT = "comments"
 #: Bytes for all attributes together.
 _ROOM = 2048
+#: Bytes of one attribute, at most: ffmpeg 5 takes files with a longer one for damaged.
+_LONGEST_VALUE = 255
 EXR_PLACEHOLDER = {_COMMENT: b" " * _ROOM}
 """What the header of a new EXR file has for `fill_exr_header`."""
 
@@ -88,10 +90,24 @@ def fill_exr_header(path: Path, attributes: Mapping[str, Attribute], summary: st
         # Long names of channels before it would take more; channels of a capture have short names.
         place = file.read(4096).index(start)
         written = b"".join(_exr_attribute(name, value) for name, value in attributes.items())
-        room = _ROOM - len(written)
-        comment = f"irradiance; {summary}"[:room].ljust(room)
         file.seek(place)
-        file.write(written + _exr_attribute(_COMMENT, comment))
+        file.write(written + _comments(f"irradiance; {summary}", len(start) + _ROOM - len(written)))
+
+
+def _comments(text: str, size: int) -> bytes:
+    """Return a text as attributes of `size` bytes together, each no longer than ffmpeg reads."""
+    names, left = [_COMMENT], size
+    while (left := left - len(_exr_attribute(names[-1], "")) - _LONGEST_VALUE) > 0:
+        names.append(f"{_COMMENT}{len(names) + 1}")
+    lengths = [_LONGEST_VALUE] * len(names)
+    lengths[-1] += left
+    if lengths[-1] < 0:  # less than its name takes: the one before makes room for it
+        lengths[-2:] = [lengths[-2] + lengths[-1], 0]
+    found, text = b"", text.encode("ascii", "replace").decode()
+    for name, length in zip(names, lengths, strict=True):
+        found += _exr_attribute(name, text[:length].ljust(length))
+        text = text[length:]
+    return found
 
 
 def tiff_tags(details: PictureDetails) -> dict[str, Any]:
@@ -193,7 +209,8 @@ def _exr_attribute(name: str, value: Attribute) -> bytes:
     """Return an attribute as it stands in the header: name, type, size, value."""
     if isinstance(value, str):
         kind = "string"
-        data = (value if name == _COMMENT else _clean(value)).encode("utf-8", "replace")
+        cleaned = value if name.startswith(_COMMENT) else _clean(value)
+        data = cleaned.encode("utf-8", "replace")
     elif isinstance(value, tuple):
         kind, data = "chromaticities", struct.pack(f"<{len(value)}f", *value)
     else:

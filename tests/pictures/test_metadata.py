@@ -66,6 +66,20 @@ def test_openexr_reads_the_attributes(folder: Path, layout: Layout) -> None:
         assert header["chromaticities"] == pytest.approx(bt709)
 
 
+def test_no_attribute_is_longer_than_other_programs_read(tmp_path: Path) -> None:
+    """A long summary is in several; ffmpeg 5 takes files with more than 255 bytes for damaged."""
+    many = replace(details(), frames=20 * details().frames)
+    assert len(many.summary) > 255
+    total, how = rendered(Layout.MONO, shape=(12, 16))
+    write_picture_files(total, how, many, tmp_path)
+    with OpenEXR.File(str(tmp_path / "radiance.exr")) as file:
+        header = dict(file.header())
+    texts = {name: value for name, value in header.items() if isinstance(value, str)}
+    assert max(map(len, texts.values())) == 255
+    comments = "".join(text for name, text in sorted(texts.items()) if name.startswith("comments"))
+    assert comments.strip() == f"irradiance; {many.summary}"
+
+
 @pytest.mark.parametrize("name", ["image.tiff", "sum.tiff"])
 def test_tifffile_reads_the_tags(folder: Path, name: str) -> None:
     with tifffile.TiffFile(folder / name) as file:
