@@ -80,7 +80,11 @@ def exr_attributes(details: PictureDetails, channels: str) -> dict[str, Attribut
         found["utcOffset"] = -offset.total_seconds() if offset is not None else 0.0
     if len(channels) == 3 and details.colour is not None:
         found["chromaticities"] = tuple(chain(*BT709_PRIMARIES, D65))
-    return {name: value for name, value in found.items() if value != ""}
+    return {
+        name: _clean(value) if isinstance(value, str) else value
+        for name, value in found.items()
+        if value != ""
+    }
 
 
 def fill_exr_header(path: Path, attributes: Mapping[str, Attribute], summary: str) -> None:
@@ -208,9 +212,7 @@ def png_with_metadata(png: bytes, details: PictureDetails) -> bytes:
 def _exr_attribute(name: str, value: Attribute) -> bytes:
     """Return an attribute as it stands in the header: name, type, size, value."""
     if isinstance(value, str):
-        kind = "string"
-        cleaned = value if name.startswith(_COMMENT) else _clean(value)
-        data = cleaned.encode("utf-8", "replace")
+        kind, data = "string", value.encode("utf-8", "replace")
     elif isinstance(value, tuple):
         kind, data = "chromaticities", struct.pack(f"<{len(value)}f", *value)
     else:

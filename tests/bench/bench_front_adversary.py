@@ -46,6 +46,8 @@ CASES = [
 ]
 """Sensor; response and range; time in seconds."""
 
+SCENE = "tile-floor"
+
 SAME_TIME = 1e-8
 """Relative difference up to which two times are the same."""
 
@@ -159,12 +161,23 @@ class Adversary:
         return levels, len(best)
 
 
+def front_of(number: int, scene: str = SCENE) -> Front:
+    """Return the front of a case before a scene, of which nothing is searched yet."""
+    sensor, (response, dynamic_range), _ = CASES[number]
+    request = CaptureRequest(response=response, dynamic_range=dynamic_range)
+    with SimulatedCamera(load_scene(scene), load_sensor(sensor), seed=0) as camera:
+        light = meter_light(camera, request)
+        assert light is not None  # no base exposure is given
+        desired = desired_response(response, dynamic_range)
+        return Front(camera.controls, desired, longest_base_s(request, light), before=light.last)
+
+
 def main() -> None:
     """Print a row for each case, and the largest gain."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--seconds", type=float, default=60.0, help="processor time for a case")
     parser.add_argument("--case", default="", help="numbers of cases, by commas; all by default")
-    parser.add_argument("--scene", default="tile-floor")
+    parser.add_argument("--scene", default=SCENE)
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     chosen = [int(k) for k in arguments.case.split(",") if k] or range(len(CASES))
@@ -175,16 +188,7 @@ def main() -> None:
     gains = []
     for number in chosen:
         sensor, (response, dynamic_range), budget_s = CASES[number]
-        request = CaptureRequest(response=response, dynamic_range=dynamic_range)
-        with SimulatedCamera(load_scene(arguments.scene), load_sensor(sensor), seed=0) as camera:
-            light = meter_light(camera, request)
-            assert light is not None  # no base exposure is given
-            front = Front(
-                camera.controls,
-                desired_response(response, dynamic_range),
-                longest_base_s(request, light),
-                before=light.last,
-            )
+        front = front_of(number, arguments.scene)
         try:
             point = front.at_time(budget_s)
         except CamctlError as error:

@@ -21,19 +21,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from camctl.captures.metering import meter_light
 from camctl.errors import CamctlError
 from camctl.exposure import accuracy
 from camctl.exposure.accurate import design, frame_sets, sets
-from camctl.exposure.goal import CaptureRequest
-from camctl.exposure.search.best import longest_base_s
 from camctl.exposure.search.front import Front
 from camctl.model import inverse
-from camctl.model.response.desired import desired_response
-from camctl.sim.camera import SimulatedCamera
-from camctl.sim.scenes.scene import load_scene
-from camctl.sim.sensors.sensor import load_sensor
-from tests.bench.bench_front_adversary import CASES
+from tests.bench.bench_front_adversary import CASES, front_of
 
 CONSTANTS: list[tuple[ModuleType, str, tuple[float, ...]]] = [
     (design, "COARSER", (1, 4)),
@@ -77,17 +70,6 @@ def measured(fronts: dict[int, Front]) -> tuple[float, Levels]:
         spent_s += time.process_time() - started
         levels[number] = front.levels_of(point.settings)
     return spent_s, levels
-
-
-def front_of(number: int) -> Front:
-    """Return the front of a case, of which nothing is searched yet."""
-    sensor, (response, dynamic_range), _ = CASES[number]
-    request = CaptureRequest(response=response, dynamic_range=dynamic_range)
-    with SimulatedCamera(load_scene("tile-floor"), load_sensor(sensor), seed=0) as camera:
-        light = meter_light(camera, request)
-        assert light is not None  # no base exposure is given
-        desired = desired_response(response, dynamic_range)
-        return Front(camera.controls, desired, longest_base_s(request, light), before=light.last)
 
 
 def main() -> None:
