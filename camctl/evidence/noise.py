@@ -10,15 +10,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.patch_errors import LEAST_USABLE, TRIM
+from camctl.evidence.patch_noise import NoisePatches, VarianceModel, electrons_per_level
 from camctl.evidence.patches import Patches
-from camctl.model.distribution import MAX_READ_NOISE, MIN_ELECTRONS
+from camctl.model.distribution import MAX_READ_NOISE
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Posterior
 from camctl.model.noise import FrameNoise, MeasuredNoise
@@ -26,14 +27,19 @@ from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import DesiredResponse
 from camctl.model.sensor import SensorModel
 
-#: Patches with a mean below this level are not used: clipping at black lessens their noise, and
-#: with little noise many of their samples are alike.
+#: Patches with a mean below this level in the longer frame are not used: what is clipped at black
+#: does not show its light.
 _LEAST_LEVEL = 4.0
 #: Fewest patches for a measurement.
 _LEAST_PATCHES = 48
-#: Patches of more contrast are not used: an error of the exposures would add to their difference.
+#: Standard errors that the last round changes the noise by at most.
+_MET = 0.02
+#: Patches of more contrast, beyond their noise, are not used: an error of the exposures would add
+#: to their difference.
 _MOST_CONTRAST = 0.1
 _ROUNDS = 8
+#: Patches that are enough: by so many of 64 samples a noise is known to 0.2 %.
+_ENOUGH = 8192
 #: Effective levels more uncertain than by this share are not stated: patches of nearly one
 #: brightness do not distinguish photon noise from read noise.
 _MOST_UNCERTAIN = 0.25
@@ -42,105 +48,11 @@ _COMPRESSED = 255
 #: Share of the patches that may show something that moved, standard errors that are no chance, and
 #: the least excess of variance, levels squared: a third of that of the quantisers.
 _OUTLIERS, _CHANCE, _LEAST_EXCESS = 0.02, 5.0, 1 / 36
-#: Harmonics of the error of quantisation: noise of a tenth of a step leaves 0.16 of the third.
-_HARMONICS, _SMALLEST_STEP = 3, 1e-12
+_SMALLEST_STEP = 1e-12
+#: Change of the noise, as a share of what a patch shows or of rounding, for the slope of variances.
+_SMALL_CHANGE = 0.02
 
 _Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class _Patches:
-    """Variances of the differences of frames, in levels squared; one row for each patch.
-
-    Attributes:
-        variance: measured
-        terms: (K, 2): what one inverse electron per level, and read noise of one level, add
-        step: of the shorter frame's quantiser, squared
-        rounding: what the quantiser of the longer frame adds
-        phases: (K, harmonics): means of exp(2 pi i k m) over the samples, where m is the light in
-            steps of the shorter frame, k = 1, 2, ...
-        freedom: degrees of freedom of the variance
-        is_even: whether a patch has so little contrast that its variance is noise
-        is_plain: whether errors of its colours, which frames share, are small
-    """
-
-    variance: _Floats
-    terms: _Floats
-    step: _Floats
-    rounding: _Floats
-    phases: NDArray[np.complexfloating[Any, Any]]
-    freedom: _Floats
-    is_even: NDArray[np.bool_]
-    is_plain: NDArray[np.bool_]
-
-    @staticmethod
-    def joined(parts: Sequence[_Patches]) -> _Patches:
-        """Return the patches of all parts."""
-        names = [each.name for each in fields(_Patches)]
-        return _Patches(
-            *(np.concatenate([getattr(part, name) for part in parts]) for name in names)
-        )
-
-    def where(self, chosen: NDArray[np.bool_]) -> _Patches:
-        """Return some of the patches."""
-        return _Patches(*(getattr(self, field.name)[chosen] for field in fields(_Patches)))
-
-    def compression(self, noise: _Floats) -> float:
-        """Return the standard deviation of the errors that compression adds, levels.
-
-        It is the root mean square of what noise and quantisers do not explain, in steps of the
-        quantisers, of all patches but the `_OUTLIERS` with most of it, which may show something
-        that moved; 0 where that is by chance.
-        """
-        expected = self.terms @ noise
-        expected = expected + self.quantisation(expected)
-        steps = np.maximum(self.step + 12 * self.rounding, _SMALLEST_STEP)
-        excess = (self.variance - expected) / steps
-        most = float(np.quantile(excess, 1 - _OUTLIERS))
-        excess = np.minimum(excess, most)
-        mean, error = float(excess.mean()), float(excess.std()) / math.sqrt(excess.size)
-        return math.sqrt(mean) if mean > max(_CHANCE * error, _LEAST_EXCESS) else 0.0
-
-    def quantisation(self, noise: _Floats) -> _Floats:
-        """Return what the quantisers add to the variance of a noise, as in the terms.
-
-        A light of m steps and Gaussian noise of s are rounded to a whole number.  Its mean square
-        error and its mean error are Fourier series of m (Widrow and Kollar, Quantization Noise,
-        2008); without their harmonics they are s^2 + 1/12 and 0.  Noise of half a step leaves
-        0.7 % of the first harmonic, noise of a third of a step a tenth.
-        """
-        k = np.arange(1, _HARMONICS + 1)
-        total = (noise + self.rounding)[:, None]
-        # Where noise is one step, they are below 1e-8.
-        square = np.minimum(total / np.maximum(self.step, _SMALLEST_STEP)[:, None], 1.0)
-        weights = (-1.0) ** k * np.exp(-2 * (math.pi * k) ** 2 * square)
-        waves = weights * self.phases.real * (1 / (math.pi * k) ** 2 + 4 * square)
-        mean_error = (weights / (math.pi * k) * self.phases.imag).sum(axis=1)
-        found = self.rounding + self.step * (1 / 12 + waves.sum(axis=1) - mean_error**2)
-        return np.asarray(found)
-
-    def fit(self) -> _Fit:
-        """Return what fits best, both noises >= 0.
-
-        Raises:
-            np.linalg.LinAlgError: the patches do not distinguish the two noises
-        """
-        # The median of the single patches is a start that moving objects do not disturb.  It is
-        # too large by what quantisation adds: from too small a one, few patches would fit.
-        start = float(np.median(self.variance / self.terms.sum(axis=1)))
-        found, covariance = np.array([start, start]), np.zeros((2, 2))
-        for _ in range(_ROUNDS):
-            noise = self.terms @ found
-            quantisation = self.quantisation(noise)
-            expected = noise + quantisation
-            scatter = np.sqrt(2 / self.freedom) * expected
-            used = np.abs(self.variance - expected) <= (TRIM * scatter + 0.5 * quantisation)
-            if np.count_nonzero(used) <= 2:
-                break
-            terms = self.terms[used] / scatter[used, None]
-            values = (self.variance - quantisation)[used] / scatter[used]
-            found, covariance = _least_squares(terms, values)
-        return _Fit(found, covariance)
 
 
 class _Fit(NamedTuple):
@@ -178,6 +90,57 @@ class NoiseFit(NamedTuple):
     neighbours: list[_Floats]
     freedom: int
     compression_levels: float
+
+
+def _fit(patches: NoisePatches, model: VarianceModel) -> _Fit:
+    """Return the noises >= 0 that fit best.
+
+    Raises:
+        np.linalg.LinAlgError: the patches do not distinguish the two noises
+    """
+    # The median of the single patches is a start that moving objects do not disturb.  It is too
+    # large by what quantisation adds: from too small a one, few patches would fit.
+    each = patches.terms.sum(axis=0)
+    start = float(np.median(patches.variance / each))
+    change = _SMALL_CHANGE * max(start, float(np.median(patches.quantisers / each)))
+    found, covariance = np.array([start, start]), np.zeros((2, 2))
+    for _ in range(_ROUNDS):
+        table = model.tables(found)
+        lit = patches.fitted(model, table)
+        expected, scatter = lit.scatter(model, table)
+        others = [lit.moments(model.tables(found + change * axis)).variance for axis in np.eye(2)]
+        slopes = (np.stack(others) - expected) / change
+        beyond = patches.variance - expected
+        used = (np.abs(beyond) <= TRIM * scatter) & (scatter > 0)
+        # Neighbours have the errors of their light in common: these may not be more than chance.
+        certain = used & (np.square(scatter) <= 4 / patches.freedom * expected**2)
+        if np.count_nonzero(certain) >= _LEAST_PATCHES:
+            used = certain
+        if np.count_nonzero(used) <= 2:
+            break
+        terms = (slopes[:, used] / scatter[used]).T
+        values = (beyond + found @ slopes)[used] / scatter[used]
+        before = found
+        found, covariance = _least_squares(terms, values)
+        if (np.square(found - before) <= _MET**2 * covariance.diagonal()).all():
+            break
+    return _Fit(found, covariance)
+
+
+def _compression(patches: NoisePatches, model: VarianceModel, noise: _Floats) -> float:
+    """Return the standard deviation of the errors that compression adds, levels.
+
+    It is the root mean square of what noise and quantisers do not explain, in steps of the
+    quantisers, of all patches but the `_OUTLIERS` with most of it, which may show something that
+    moved; 0 where that is by chance.
+    """
+    table = model.tables(noise)
+    expected = patches.fitted(model, table).moments(table).variance
+    excess = (patches.variance - expected) / np.maximum(12 * patches.quantisers, _SMALLEST_STEP)
+    most = float(np.quantile(excess, 1 - _OUTLIERS))
+    excess = np.minimum(excess, most)
+    mean, error = float(excess.mean()), float(excess.std()) / math.sqrt(excess.size)
+    return math.sqrt(mean) if mean > max(_CHANCE * error, _LEAST_EXCESS) else 0.0
 
 
 def _least_squares(terms: _Floats, values: _Floats) -> tuple[_Floats, _Floats]:
@@ -267,36 +230,39 @@ def fit_noise(
     if len(exposures) < 2:
         return None
     order = np.argsort(exposures, kind="stable")
-    sensor = SensorModel(response, black)
+    sensor, model = SensorModel(response, black), VarianceModel(response, black, gains)
     found = [
         _pair(
             [samples[k] for k in pair],
             [exposures[k] for k in pair],
             [gains[k] for k in pair],
             sensor,
-            response.M + 1.0,
+            model,
             np.ones(len(samples[0]), np.bool_) if plain is None else plain,
         )
         for pair in zip(order[:-1].tolist(), order[1:].tolist(), strict=True)
     ]
-    everywhere = _Patches.joined(found)
-    patches = everywhere.where(everywhere.is_even)
+    everywhere = NoisePatches.joined(found)
+    patches = _some(everywhere, everywhere.is_even, model)
     if patches.variance.size < _LEAST_PATCHES:
         return None
     try:
-        fit = patches.fit()
+        fit = _fit(patches, model)
         neighbours = fit.neighbours()
     except np.linalg.LinAlgError:
         return None
-    shown = everywhere.where(everywhere.is_plain)
-    is_shown = response.M <= _COMPRESSED and shown.variance.size >= _LEAST_PATCHES
-    compression = shown.compression(fit.noise) if is_shown else 0.0
+    compression = 0.0
+    if response.M <= _COMPRESSED:
+        shown = _some(everywhere, everywhere.is_plain, model)
+        if shown.variance.size >= _LEAST_PATCHES:
+            compression = _compression(shown, model, fit.noise)
     return NoiseFit(fit.noise, neighbours, int(patches.freedom.sum()), compression)
 
 
-def electrons_per_level(inverse: float) -> float:
-    """Return the electrons of a level from their measured inverse, infinite for 0."""
-    return max(1 / inverse, MIN_ELECTRONS) if inverse > 0 else math.inf
+def _some(patches: NoisePatches, chosen: NDArray[np.bool_], model: VarianceModel) -> NoisePatches:
+    """Return the chosen patches, as many as are enough, with the range of their light."""
+    places = np.flatnonzero(chosen)
+    return patches.where(places[:: max(1, places.size // _ENOUGH)]).with_ends(model)
 
 
 def _read_noise(square: float, gain: float, known: FrameNoise) -> float:
@@ -317,13 +283,14 @@ def _pair(
     exposures: Sequence[float],
     gains: Sequence[float],
     sensor: SensorModel,
-    full: float,
+    model: VarianceModel,
     plain: NDArray[np.bool_],
-) -> _Patches:
+) -> NoisePatches:
     """Return the patches of a shorter and a longer frame that are in range in both.
 
-    Differences are in levels of the shorter frame, of which full scale has `full`.
+    Differences are in levels of the shorter frame, of which full scale has M + 1.
     """
+    full = 1 / sensor.level
     light, squared_step = sensor.light * full, np.square(sensor.gap * full)
     ratio = exposures[1] / exposures[0]
     predicted = light / ratio
@@ -340,25 +307,27 @@ def _pair(
     spread = mean((difference - mean(difference)[:, None]) ** 2) * count / np.maximum(count - 1, 1)
     # The covariance of the frames is the scene's contrast: their noise is independent.
     contrast = mean((long - middle[:, None]) * (short - mean(short)[:, None]))
-    used = (count >= LEAST_USABLE * usable.shape[1]) & (mean(short) >= _LEAST_LEVEL)
-    is_even = contrast <= (_MOST_CONTRAST * np.maximum(middle, 1.0)) ** 2
+    used = (count >= LEAST_USABLE * usable.shape[1]) & (ratio * middle >= _LEAST_LEVEL)
+    is_even = contrast <= (_MOST_CONTRAST * middle) ** 2 + spread
     photon = middle * (gains[0] + gains[1] / ratio)
     read = np.full(middle.size, gains[0] ** 2 + (gains[1] / ratio) ** 2)
-    terms = np.stack([np.maximum(photon, 0.0), read], axis=1)
-    steps = np.interp(predicted, light, np.arange(light.size))
-    codes, weights = after[used], usable[used] / count[used, np.newaxis]
-    phases = np.empty((codes.shape[0], _HARMONICS), np.complex128)
-    for k in range(_HARMONICS):
-        turns = np.exp(2j * math.pi * (k + 1) * steps)  # of each value, not of each sample
-        phases[:, k].real = np.einsum("ps,ps->p", turns.real.take(codes), weights)
-        phases[:, k].imag = np.einsum("ps,ps->p", turns.imag.take(codes), weights)
-    return _Patches(
-        spread[used],
-        terms[used],
-        mean(squared_step.take(before))[used],
-        mean(squared_step.take(after))[used] / 12 / ratio**2,
-        phases,
-        np.maximum(count[used] - 1.0, 1.0),
-        is_even[used],
-        plain[used],
+    terms = np.stack([np.maximum(photon, 0.0), read])
+    rounding = [mean(squared_step.take(each)) / 12 for each in (before, after)]
+    own = mean((long - middle[:, None]) ** 2)
+    # Where the quantiser of the shorter frame is not dithered, its phase is hardly known.
+    error = np.sqrt(own / np.maximum(count, 1) + rounding[0])
+    every = NoisePatches(
+        variance=spread,
+        terms=terms,
+        quantisers=rounding[0] + rounding[1] / ratio**2,
+        light=np.stack([middle, error]),
+        contrast=np.stack([np.maximum(contrast, 0.0), np.zeros_like(contrast)]),
+        spread=own * count / np.maximum(count - 1, 1),
+        first=np.array([model.first(gain) for gain in gains])[:, None] + np.zeros_like(count),
+        ends=np.zeros((4, middle.size)),
+        ratio=np.full(middle.size, ratio),
+        freedom=np.maximum(count - 1.0, 1.0),
+        is_even=is_even,
+        is_plain=plain,
     )
+    return every.where(used)

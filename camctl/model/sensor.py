@@ -79,7 +79,7 @@ class SensorModel:
         black: as given
         white: brightness from which samples are saturated, DN
         full: light at white
-        level: mean width of a gap
+        level: light of one level of the noise, which is on the linear scale of M + 1 levels
         is_coarse: whether there are so few levels that noise decides which samples are saturated
         curvature: (white + 1,) float64, the second difference of `light`
         exponent_error: that of the response
@@ -103,7 +103,7 @@ class SensorModel:
             self.deviation[black + 1 :] = real.deviation
             self.deviation[: black + 1] = np.inf
         self.full = float(self.light[-1])
-        self.level = self.full / real.M
+        self.level = 1 / (real.M + 1)
         self.is_coarse = real.M < _FEWEST_LEVELS
         self.curvature: FloatArray = np.concatenate(
             ([0.0], np.abs(np.diff(self.light, 2)), [0.0] * min(1, self.light.size - 1))

@@ -25,7 +25,8 @@ from camctl.evidence.chroma import (
     patch_chroma_variance,
 )
 from camctl.evidence.lost_detail import LEVELS, SIDE, LostDetail, lost_details
-from camctl.evidence.noise import NoiseFit, electrons_per_level, fit_noise
+from camctl.evidence.noise import NoiseFit, fit_noise
+from camctl.evidence.patch_noise import electrons_per_level
 from camctl.evidence.patches import Patches
 from camctl.interface.controls import Layout
 from camctl.model.distribution import MAX_READ_NOISE

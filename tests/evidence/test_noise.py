@@ -14,14 +14,14 @@ from small_cameras import WrappedCamera, gradient, small_camera
 import camctl
 from camctl.captures import outputs
 from camctl.captures.sequencer import capture
-from camctl.evidence.noise import measure_noise
+from camctl.evidence.noise import fit_noise, measure_noise
 from camctl.evidence.patches import Patches
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.controls import ExposureControls
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Posterior
 from camctl.model.noise import FrameNoise, MeasuredNoise, NoiseModel
-from camctl.model.response.camera import linear_response
+from camctl.model.response.camera import CameraResponse, linear_response
 from camctl.model.response.desired import desired_response
 from camctl.records.report import CaptureReport
 
@@ -97,6 +97,7 @@ def patches(
     *,
     exposures: Sequence[float] = EXPOSURES,
     read_noise: float = 0.3,
+    response: CameraResponse = RESPONSE,
 ) -> list[Patches]:
     """Return frames of (patches, samples) light with photon noise and read noise, levels."""
     rng = np.random.default_rng(seed)
@@ -104,7 +105,7 @@ def patches(
     for exposure in exposures:
         signal = rng.poisson(exposure * light * 256 * electrons) / electrons
         signal += read_noise * rng.standard_normal(light.shape)
-        frames.append(np.clip(np.floor(signal), 0, 255).astype(np.uint16))
+        frames.append(np.searchsorted(response.levels, signal / 256, "right").astype(np.uint16))
     return frames
 
 
@@ -179,6 +180,45 @@ def test_noise_far_below_a_step_is_measured(contrast: float) -> None:
     assert measured is not None
     assert measured.electrons_per_level == pytest.approx(200, rel=0.12)
     assert measured.read_noise_levels < 0.1
+
+
+@pytest.mark.parametrize(
+    ("ratio", "count", "power", "electrons", "read_noise"),
+    [
+        (24.6, 3, 1.2, 11.7, 0.98),  # what is not clipped in two frames has 4 to 9 levels
+        (1.55, 9, 1.2, 16.2, 0.94),  # the light is as noisy in the longer frame
+        (1.83, 8, 0.75, 15.7, 0.98),  # steps are as wide as 4 levels
+        (1.42, 8, 0.75, 54.4, 0.58),
+    ],
+)
+def test_noise_is_exact_whatever_the_steps_and_exposures_are(
+    ratio: float, count: int, power: float, electrons: float, read_noise: float
+) -> None:
+    response = CameraResponse((np.arange(1, 256) / 256) ** power, "curved")
+    # Most patches of a picture are dark.
+    light = np.geomspace(2e-3, 1, 3000)[:, np.newaxis] ** 1.5 * np.linspace(0.99, 1.01, 64)
+    exposures = [ratio**k for k in range(count)]
+    fits = [
+        fit_noise(
+            response,
+            patches(
+                light,
+                electrons,
+                seed,
+                exposures=exposures,
+                read_noise=read_noise,
+                response=response,
+            ),
+            exposures,
+            [1.0] * count,
+            0,
+        )
+        for seed in range(3)
+    ]
+    found = np.array([fit.noise for fit in fits if fit is not None])
+    assert len(found) == 3
+    np.testing.assert_allclose(1 / found[:, 0], electrons, rtol=0.07)
+    np.testing.assert_allclose(np.sqrt(found[:, 1]), read_noise, rtol=0.035)
 
 
 def test_a_curved_camera_has_an_uncertainty_of_like_size() -> None:

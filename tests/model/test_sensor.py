@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from camctl.model.distribution import NoisyFrame
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import CameraResponse, linear_response, standard_response
 from camctl.model.sensor import SensorModel
@@ -28,3 +29,11 @@ def test_predictions_are_finite(
         assert np.all(np.isfinite(table))
     assert np.all(found.own >= 0)
     assert np.all(found.shared >= 0)
+
+
+def test_noise_has_the_same_unit_in_all_models() -> None:
+    """Its levels are those of the linear scale, also where a curve is saturated before its end."""
+    real = CameraResponse(0.9 * standard_response("srgb", 8).levels, "saturated early")
+    light = np.array([0.01, 0.3, 0.8])
+    exact = NoisyFrame.of(real, 1.0, NOISE).deviation(light)
+    np.testing.assert_allclose(SensorModel(real, 0).variance(light, NOISE), exact**2)

@@ -1,0 +1,106 @@
+"""How the light that samples show differs from the light there is, by noise and the quantiser.
+
+A sample shows the middle of a step.  Where noise is less than a step, steps of several widths are
+within the noise, or it is clipped, the error of that light has neither mean 0 nor the variance of
+the noise and of an even step together: its moments are sums over the values of a sample, with their
+exact probabilities.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from camctl.model.distribution import NORMAL_REACH, NoisyFrame, normal_cdf
+from camctl.model.noise import FrameNoise
+from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.model.sensor import SensorModel
+
+#: Lights of a table in each step, and at most: 8 bits need fewer.
+_OF_STEP, _MOST_LIGHTS = 8, 2048
+#: Their phases in the quantiser follow no pattern where steps are finer (the golden ratio).
+_PHASE = (np.sqrt(5) - 1) / 2
+#: Values of a sample that are told apart at a light: so many groups of 12 standard deviations are
+#: as good as single values, whose light their means are.
+_MOST_VALUES = 48
+
+
+class SampleMoments:
+    """Means of the moments of the error of a sample's light, over ranges of light.
+
+    Args:
+        response: of the camera
+        black: brightness without light, DN
+
+    Attributes:
+        size: number of lights in a table
+    """
+
+    def __init__(self, response: CameraResponse, black: int) -> None:
+        self._sensor = SensorModel(response, black)
+        exact = FrameNoise(np.inf, 0.0, black=black)
+        self._thresholds = NoisyFrame.of(response, 1.0, exact).thresholds
+        steps = np.concatenate(([0.0], response.levels))
+        places = np.arange(response.M * _OF_STEP + 1) / _OF_STEP
+        if places.size > _MOST_LIGHTS:
+            number = np.arange(_MOST_LIGHTS)
+            places = (number + number * _PHASE % 1) / _MOST_LIGHTS * response.M
+        self.size = places.size
+        self._lights = np.interp(places, np.arange(steps.size), steps)
+        # Sums over values, of which a group has a mean.
+        self._sums = np.zeros((2, self._sensor.light.size + 1))
+        for row, power in zip(self._sums, (1, 2), strict=True):
+            np.cumsum(self._sensor.light**power, out=row[1:])
+
+    def places(self, light: FloatArray) -> FloatArray:
+        """Return lights as places in the table, which the ranges begin and end at."""
+        return np.interp(light, self._lights, np.arange(self.size, dtype=np.float64))
+
+    def table(self, noise: FrameNoise) -> FloatArray:
+        """Return the mean error, its square, and the variance at each light, (3, size)."""
+        x, thresholds = self._lights, self._thresholds
+        sigma = np.sqrt(self._sensor.variance(x, noise))
+        sigma = np.maximum(sigma, 1e-9 * self._sensor.full)
+        first, last = (
+            np.searchsorted(thresholds, x + sign * NORMAL_REACH * sigma) for sign in (-1, 1)
+        )
+        count = min(int((last - first).max()) + 1, _MOST_VALUES)
+        width = np.maximum((last - first + 1) / count, 1.0)
+        # Values from the first edge of a group to before the next one.
+        edges = first + np.rint(np.arange(count + 1)[:, np.newaxis] * width).astype(np.intp)
+        np.minimum(edges, last + 1, out=edges)
+        ends = thresholds.take(np.clip(edges[1:] - 1, 0, thresholds.size - 1))
+        below = normal_cdf((ends - x) / sigma)
+        below[edges[1:] > last] = 1.0
+        probability = np.diff(below, axis=0, prepend=0.0)
+        number = np.maximum(np.diff(edges, axis=0), 1)
+        light, square = (np.diff(row.take(edges), axis=0) / number for row in self._sums)
+        mean = (probability * light).sum(axis=0)
+        # Groups make it larger by the variance within them (Sheppard's correction).
+        variance = (probability * (2 * light**2 - square)).sum(axis=0) - mean**2
+        error = mean - x
+        return np.stack([error, error**2, np.maximum(variance, 0.0)])
+
+
+def range_means(table: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return the means of rows of a table, even between its places, over ranges of places.
+
+    Args:
+        table: (rows, places)
+        low: place where each range begins, any shape
+        high: where it ends, likewise and larger
+    """
+    middle = (table[:, 1:] + table[:, :-1]) / 2
+    sums = np.pad(np.cumsum(middle, axis=1), ((0, 0), (1, 0)))
+    slope = np.pad(np.diff(table, axis=1), ((0, 0), (0, 1)))
+
+    def up_to(place: FloatArray) -> FloatArray:
+        first = place.astype(np.intp)
+        rest = place - first
+        found = slope.take(first, axis=1)
+        found *= rest / 2
+        found += table.take(first, axis=1)
+        found *= rest
+        found += sums.take(first, axis=1)
+        return found
+
+    return np.asarray((up_to(high) - up_to(low)) / (high - low))
