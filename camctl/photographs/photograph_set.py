@@ -49,6 +49,7 @@ from camctl.photographs.selection import (
 )
 from camctl.photographs.valid_area import ValidArea
 from camctl.system.input_files import check_regular
+from camctl.system.memory import share_free_memory
 from camctl.system.number_text import time_text
 
 #: Pairs of a label and its true time that are shown.
@@ -145,6 +146,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         check_regular(path, "")  # it may be a pattern that no file fits
     if len(paths) < 2:
         raise UsageError("one photograph makes no merge", hint="give two or more exposures")
+    share_free_memory()  # before the first picture is read
     files = PhotographFiles(paths, source.times)
     given = files.photographs
     photographs, unstated = with_all_stated(given)

@@ -184,13 +184,13 @@ class FrameLight:
     def _memories(self) -> list[LightMemory]:
         """Return what estimates the light of each part in this thread."""
         if not hasattr(self._kept, "memories"):
-            self._kept.memories = [
+            memories = {
                 # Where colours have notable errors, the light is replaced, and refined elsewhere.
-                LightMemory(each.mean if self.chroma and each.mean else each.estimate)
+                each: LightMemory(each.mean if self.chroma and each.mean else each.estimate)
                 for _, each in self.parts
-            ]
-        memories: list[LightMemory] = self._kept.memories
-        return memories
+            }
+            self._kept.memories = [memories[each] for _, each in self.parts]
+        return list(self._kept.memories)
 
     def _clipped(self, frames: Sequence[NDArray[Any]]) -> Sequence[NDArray[Any]]:
         """Return frames clipped at white, or as they are where no sample can be above it."""
@@ -272,6 +272,7 @@ def frame_light(
         least = ROUNDING.tolist()
         plain = np.all([patch_chroma_variance(each) <= NOTABLE for each in samples], axis=0)
     found, noises = [], []
+    alike: dict[FrameSet, Estimator] = {}
     for at, part in enumerate(parts):
         patches = [np.array_split(each, len(parts))[at] for each in samples]
         fit = None
@@ -285,6 +286,8 @@ def frame_light(
             estimate = _sum(frames, prior, is_known=is_known)
         else:
             estimate = _likelihood(frames, fit, gains, is_known=is_known)
+        if fit is None:  # parts of one response and noise share what is found of their samples
+            estimate = alike.setdefault(frames, estimate)
         found.append((part, estimate))
         if is_known:
             noises.append(frames.noise)

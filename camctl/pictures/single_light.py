@@ -119,11 +119,15 @@ def _corrected(
     if order.size < _GROUP:
         return irradiance, deviation
     errors = np.log(together[order] / irradiance[values[order]])
-    groups = np.array_split(errors, min(order.size // _GROUP, irradiance.size))
-    codes = [float(each.mean()) for each in np.array_split(values[order], len(groups))]
-    low, middle, high = np.array(
-        [np.percentile(each, (_WITHIN[0], 50, _WITHIN[1])) for each in groups]
-    ).T
+    count = min(order.size // _GROUP, irradiance.size)
+    codes = np.concatenate([each.mean(axis=1) for each in _groups(values[order], count)])
+    low, middle, high = np.concatenate(
+        [
+            np.percentile(each, (_WITHIN[0], 50, _WITHIN[1]), axis=1)
+            for each in _groups(errors, count)
+        ],
+        axis=1,
+    )
     every = np.arange(irradiance.size)
     usable = np.isfinite(deviation)
     change = np.exp(np.interp(every, codes, middle)).astype(np.float32)
@@ -131,6 +135,13 @@ def _corrected(
     irradiance[usable] *= change[usable]
     deviation = np.maximum(deviation, (spread * irradiance).astype(np.float32))
     return irradiance, deviation
+
+
+def _groups(values: NDArray[Any], count: int) -> list[NDArray[Any]]:
+    """Return values in so many groups, as the rows of two arrays: some have one more."""
+    size, longer = divmod(values.size, count)
+    end = longer * (size + 1)
+    return [values[:end].reshape(longer, size + 1), values[end:].reshape(-1, size)]
 
 
 def least_light(lights: Sequence[SingleLight]) -> float:

@@ -23,6 +23,7 @@ import numpy as np
 from camctl.errors import CamctlError, DataError
 from camctl.stills.decoding import read_still
 from camctl.stills.maps import READERS
+from camctl.system.memory import share_free_memory
 
 MOST_SECONDS = 60
 """Processor time for one file: the slowest of 100 megapixels takes 4 s on one core (2026-11)."""
@@ -33,6 +34,7 @@ _MOST_BYTES = 4 << 30
 
 def serve(requests: BinaryIO, answers: BinaryIO, shared: int) -> None:
     """Answer requests until there are no more."""
+    share_free_memory()  # the next file takes what the last one took
     _limit_memory()
     for line in requests:
         request = json.loads(line)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ from camctl.pictures.frame_light import FrameLight
 from camctl.pictures.ghosts.labels import LabelField, Mask, least_error_labels
 from camctl.pictures.ghosts.replacement import COMPARED, Ghosts
 from camctl.pictures.single_light import SingleLight, least_light, single_lights
-from camctl.system.picture_operations import connected_parts, dilated
+from camctl.system.picture_operations import connected_parts, dilated, looked_up, plane_by_plane
 
 #: Cells have 2 x 2 parts, whose mean light is compared at seams.
 _PARTS = 2
@@ -105,35 +106,40 @@ def _measured(
     parts = cells.shape[0] * COMPARED, cells.shape[1] * COMPARED
     certainty = np.zeros((count, *parts), np.float32)
     for row in range(0, cells.shape[0], 2):  # an even row of a mosaic
-        columns = np.flatnonzero(cells[row : row + 2].any(axis=0))
-        if not columns.size:
-            continue
-        first, last = int(columns[0]) & ~1, int(columns[-1]) + 1
-        rows = slice(row * cell, min((row + 2) * cell, len(total)))
-        across = slice(first * cell, min(last * cell, total.shape[1]))
-        values = [frames(place, rows)[:, across] for place in range(count)]
-        all_frames, _ = light.rows(values, total[rows, across])
-        together = np.log(np.maximum(all_frames, np.float32(least_light(lights))))
-        here = slice(row, row + 2), slice(first, last)
-        finer = [slice(each.start * COMPARED, each.stop * COMPARED) for each in here]
-        features[(*here, count)] = _cell_means(together, cell, _PARTS)
-        known, square = (
-            np.empty((count, *features[here].shape[:2], COMPARED**2), np.float32) for _ in range(2)
-        )
-        for place, pixels in enumerate(values):
-            found = _compared(lights, pixels, place, together)
-            features[(*here, place)] = _cell_means(found.light, cell, _PARTS)
-            for into, each in ((known, found.variance), (square, found.difference)):
-                means = _cell_means(each, cell, COMPARED)
-                into[place] = means.reshape(*known.shape[1:], channels).mean(axis=3)
-            error[(*here, place)] = _cell_means(found.lost, cell, 1).mean(axis=2)
-        moved = _moved(square, known, max(1, cell // COMPARED) ** 2 * channels)
-        share = moved / (moved + known)
-        error[here] += (known * share).mean(axis=3).transpose(1, 2, 0)
-        split = share.reshape(*share.shape[:3], COMPARED, COMPARED).transpose(0, 1, 3, 2, 4)
-        into = certainty[:, finer[0], finer[1]]
-        into[...] = split.reshape(into.shape)
+        for first, last in _runs(np.asarray(cells[row : row + 2].any(axis=0))):
+            rows = slice(row * cell, min((row + 2) * cell, len(total)))
+            across = slice(first * cell, min(last * cell, total.shape[1]))
+            values = [plane_by_plane(frames(place, rows)[:, across]) for place in range(count)]
+            all_frames, _ = light.rows(values, total[rows, across])
+            together = np.log(np.maximum(all_frames, np.float32(least_light(lights))))
+            here = slice(row, row + 2), slice(first, last)
+            finer = [slice(each.start * COMPARED, each.stop * COMPARED) for each in here]
+            features[(*here, count)] = _cell_means(together, cell, _PARTS)
+            known, square = (
+                np.empty((count, *features[here].shape[:2], COMPARED**2), np.float32)
+                for _ in range(2)
+            )
+            for place, pixels in enumerate(values):
+                found = _compared(lights, pixels, place, together)
+                features[(*here, place)] = _cell_means(found.light, cell, _PARTS)
+                for into, each in ((known, found.variance), (square, found.difference)):
+                    means = _cell_means(each, cell, COMPARED)
+                    into[place] = means.reshape(*known.shape[1:], channels).mean(axis=3)
+                error[(*here, place)] = _cell_means(found.lost, cell, 1).mean(axis=2)
+            moved = _moved(square, known, max(1, cell // COMPARED) ** 2 * channels)
+            share = moved / (moved + known)
+            error[here] += (known * share).mean(axis=3).transpose(1, 2, 0)
+            split = share.reshape(*share.shape[:3], COMPARED, COMPARED).transpose(0, 1, 3, 2, 4)
+            into = certainty[:, finer[0], finer[1]]
+            into[...] = split.reshape(into.shape)
     return error, features, certainty
+
+
+def _runs(columns: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return first and last + 1 of consecutive columns, from even ones (of a mosaic) on."""
+    pairs = np.pad(columns, (0, columns.size & 1)).reshape(-1, 2).any(axis=1)
+    ends = np.flatnonzero(np.diff(np.pad(pairs, 1).astype(np.int8))).reshape(-1, 2) * 2
+    return [(first, min(last, columns.size)) for first, last in ends.tolist()]
 
 
 def _moved(square: Floats32, variance: Floats32, samples: int) -> Floats32:
@@ -174,33 +180,41 @@ def _compared(
     lights: Sequence[SingleLight], pixels: Pixels, frame: int, together: Floats32
 ) -> _Comparison:
     """Return what some rows of a frame show beside the ln light of all frames."""
-    variance, light, lost = (np.empty(pixels.shape, np.float32) for _ in range(3))
+    variance, light, lost = (np.empty_like(together) for _ in range(3))
     for single in lights:
         view = single.part.view
-        clipped = np.minimum(view(pixels), single.irradiance.shape[1] - 1)
+        clipped = np.minimum(view(pixels), pixels.dtype.type(single.irradiance.shape[1] - 1))
         known = np.log(np.maximum(single.irradiance[frame], np.float32(least_light(lights))))
         saturated = np.isinf(single.deviation[frame])
-        view(light)[...] = known.take(clipped)
-        view(variance)[...] = np.where(saturated, 0, single.variance[frame]).take(clipped)
-        view(lost)[...] = np.where(saturated, single.variance[frame], 0).take(clipped)
-        brighter = saturated.take(clipped) & (view(together) > view(light))
-        view(light)[brighter] = view(together)[brighter]
+        view(light)[...] = looked_up(known, clipped)
+        view(variance)[...] = looked_up(np.where(saturated, 0, single.variance[frame]), clipped)
+        view(lost)[...] = looked_up(np.where(saturated, single.variance[frame], 0), clipped)
+        brighter = looked_up(saturated.astype(np.uint8), clipped) > 0
+        brighter &= view(together) > view(light)
+        np.copyto(view(light), view(together), where=brighter)
     return _Comparison(light, variance, np.square(light - together), lost)
 
 
 def _cell_means(values: Floats32, cell: int, parts: int) -> Floats32:
     """Return the means over parts x parts of each cell, (cells down, cells across, parts^2 ...)."""
-    found: NDArray[Any] = values if values.ndim == 3 else values[..., np.newaxis]
-    for axis in (0, 1):
-        length = found.shape[axis]
-        starts = np.arange(0, length, cell)
-        # A last cell that is too narrow for parts has the same edge twice: its first sample.
-        edges = np.minimum(
-            (starts[:, np.newaxis] + np.arange(parts) * cell // parts).ravel(), length - 1
-        )
-        sizes = np.maximum(np.diff(np.append(edges, length)), 1)
-        sums = np.add.reduceat(found, edges, axis=axis)
-        found = sums / sizes.reshape([-1 if k == axis else 1 for k in range(3)])
-    down, across = (length // parts for length in found.shape[:2])
-    split = found.reshape(down, parts, across, parts, -1).transpose(0, 2, 1, 3, 4)
-    return np.asarray(split.reshape(down, across, -1), np.float32)
+    planes: NDArray[Any] = values[np.newaxis] if values.ndim == 2 else np.moveaxis(values, 2, 0)
+    down, across = (_shares_of_parts(length, cell, parts) for length in planes.shape[1:])
+    found = (down @ planes @ across.T).reshape(
+        len(planes), len(down) // parts, parts, len(across) // parts, parts
+    )
+    split = found.transpose(1, 3, 2, 4, 0)
+    return np.asarray(split.reshape(*split.shape[:2], -1))
+
+
+@lru_cache(maxsize=8)
+def _shares_of_parts(length: int, cell: int, parts: int) -> Floats32:
+    """Return the share of each pixel in the mean of each part of a cell, (parts, length)."""
+    starts = np.arange(0, length, cell)
+    # A last cell that is too narrow for parts has the same edge twice: its first sample.
+    edges = np.minimum(
+        (starts[:, np.newaxis] + np.arange(parts) * cell // parts).ravel(), length - 1
+    )
+    ends = np.maximum(np.append(edges[1:], length), edges + 1)
+    pixels = np.arange(length)
+    inside = (pixels >= edges[:, np.newaxis]) & (pixels < ends[:, np.newaxis])
+    return np.asarray(inside / inside.sum(axis=1, keepdims=True), np.float32)
