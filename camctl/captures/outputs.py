@@ -104,7 +104,9 @@ def complete(
     tables = tuple(map(Tables.of, shot.posteriors))
     outside = light_shares(controls.layout, total, tables, shot.desired)
     achieved = _achieved(unfinished, shot, controls, outside)
-    movement, measured = _evidence(shot, checks, controls, store, achieved.effective_levels)
+    movement, measured = _evidence(
+        shot, checks, controls, store, total.shape, achieved.effective_levels
+    )
     light = _light(shot, checks, controls)
     quality = light.quality(checks.samples)
     achieved = achieved.model_copy(update={"measured": measured, "gain_over_sum": quality.gain})
@@ -113,6 +115,7 @@ def complete(
         ghosts = find_ghosts(
             movement, store.rows, total, light, shot.exposures, checks.samples, controls.black
         )
+    checks.end()
     return_free_memory()
     rendering = Rendering(
         controls.layout,
@@ -231,6 +234,7 @@ def _evidence(
     checks: FrameChecks,
     controls: ExposureControls,
     store: CaptureStore,
+    shape: tuple[int, ...],
     effective_levels: float,
 ) -> tuple[Movement | None, MeasuredNoise | None]:
     """Return what moved, and the noise that the pixels show.
@@ -238,7 +242,7 @@ def _evidence(
     Noise that contradicts the known one is left out where things moved: it may come from them.
     """
     pairs = checks.pairs(shot.exposures, shot.noise if controls.noise else None)
-    movement = find_movement(store.frame, pairs)
+    movement = find_movement(store.rows, shape, pairs)
     measured = measure_noise(
         controls.levels, shot.desired, checks.samples, shot.exposures, shot.noise, shot.gains
     )

@@ -114,6 +114,10 @@ class NeighbourCheck:
         """Forget the frame at `position`: it will be shot again."""
         del self._samples[position]
 
+    def clear(self) -> None:
+        """Forget all frames."""
+        self._samples.clear()
+
     def has(self, position: int) -> bool:
         """Return whether the frame at `position` and the one before it were added."""
         return position in self._samples and position - 1 in self._samples

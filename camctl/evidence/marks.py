@@ -7,15 +7,18 @@ see `camctl.evidence.residual`.  Thresholds are quantiles of the normal distribu
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
+from functools import partial
+from itertools import pairwise
 from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.evidence.edges import edge_levels, local_ranges, ranges_at
+from camctl.evidence.edges import Ranges, edge_levels, local_ranges, ranges_at
 from camctl.evidence.patch_errors import MEAN_RADIUS
 from camctl.evidence.ratio_check import SIGNIFICANCE
-from camctl.evidence.residual import Limits, Pair
+from camctl.evidence.residual import FrameRows, Limits, Pair
 from camctl.evidence.spill import LightSpread, Lines
 from camctl.interface.camera import Pixels
 from camctl.system.picture_operations import box_sums, looked_up, opencv
@@ -37,6 +40,8 @@ _MAP_SIDE, _LEAST_CELL = 160, 8
 #: Samples that are compared at a time: their residuals in float32 fit a cache of 2 MB.
 STRIP_SAMPLES = 1 << 18
 
+Area = tuple[slice, slice]
+"""Rows and columns of a part of a frame."""
 Mask = NDArray[np.bool_]
 Packed = NDArray[np.uint8]
 """Marks of samples as bits, packed along each row."""
@@ -44,11 +49,11 @@ _Levels = NDArray[np.int16]
 
 
 class Marks:
-    """Where samples of the pairs compared so far contradict.
+    """Where samples of the pairs contradict.
 
     Args:
         shape: of a frame
-        pairs: how many there are
+        pairs: frames neighbouring in exposure, from the shortest on
 
     Attributes:
         sigmas: quantile from which samples have marks
@@ -60,26 +65,82 @@ class Marks:
         compared: the largest share of the samples that a pair compares
     """
 
-    def __init__(self, shape: tuple[int, ...], pairs: int) -> None:
+    def __init__(self, shape: tuple[int, ...], pairs: Sequence[Pair]) -> None:
         self.shape = shape
         rows, columns, channels = (*shape, 1)[:3]
         normal = NormalDist()
-        self.sigmas = -normal.inv_cdf(FALSE_ALARMS / 4 / pairs)
-        self.significant = -normal.inv_cdf(SIGNIFICANCE / 2 / pairs / math.prod(shape))
+        self.sigmas = -normal.inv_cdf(FALSE_ALARMS / 4 / len(pairs))
+        self.significant = -normal.inv_cdf(SIGNIFICANCE / 2 / len(pairs) / math.prod(shape))
         self.cell = max(_LEAST_CELL, -(-max(rows, columns) // _MAP_SIDE))
         self.cells: Mask = np.zeros((-(-rows // self.cell), -(-columns // self.cell)), np.bool_)
         self.marks: Packed = np.zeros((rows, -(-columns * channels // 8)), np.uint8)
         self.spilled = np.zeros_like(self.marks)
         self.compared = 0.0
+        self._pairs = pairs
 
-    def add(self, pair: Pair, short: tuple[Pixels, Lines], long: tuple[Pixels, Lines]) -> None:
-        """Compare two frames."""
-        limits = pair.limits(self.sigmas)
-        ranges = local_ranges(long[0], pair.sensor.white) if pair.is_processed else None
-        spread = LightSpread.of(limits, pair, short[1], long[1], ranges)
-        work = _FramePair(self, limits, spread, short[0], long[0], ranges)
-        count = sum(in_threads(work.mark, work.areas()))
-        self.compared = max(self.compared, count / math.prod(self.shape))
+    def compare(self, rows: FrameRows) -> None:
+        """Compare the frames: one is in memory at a time, or two between which light spread."""
+        pairs, whole = list(self._compared(rows)), slice(0, self.shape[0])
+        strips = [each for each in pairs if not each.has_spread]
+        counts = dict.fromkeys(pairs, 0)
+
+        def compared(area: Area) -> list[int]:
+            """Return how many samples of some rows each pair compares."""
+            part, found = self.outer(area)[0], []
+            position, long = strips[0].short, rows(strips[0].short, part)
+            for each in strips:
+                short = long if position == each.short else rows(each.short, part)
+                position, long = each.long, rows(each.long, part)
+                found.append(each.mark(area, short, long))
+            return found
+
+        for numbers in in_threads(compared, self._strips()) if strips else ():
+            for each, count in zip(strips, numbers, strict=True):
+                counts[each] += count
+        for each in pairs:
+            if each.has_spread:
+                short, long = rows(each.short, whole), rows(each.long, whole)
+                counts[each] = sum(in_threads(partial(each.mark_part, short, long), self._parts()))
+        self.compared = max(counts.values()) / math.prod(self.shape)
+
+    def _compared(self, rows: FrameRows) -> Iterator[_FramePair]:
+        """Yield what compares each pair; the next frame is read meanwhile."""
+        first, is_processed = self._pairs[0], self._pairs[0].is_processed
+
+        def load(position: int) -> tuple[Lines, Ranges | None]:
+            frame = rows(position, slice(0, self.shape[0]))
+            ranges = local_ranges(frame, first.sensor.white) if is_processed else None
+            return Lines.of(frame), ranges
+
+        positions = [first.short.position, *(pair.long.position for pair in self._pairs)]
+        frames = in_threads(load, positions, 1)
+        for pair, (short, long) in zip(self._pairs, pairwise(frames), strict=True):
+            limits = pair.limits(self.sigmas)
+            spread = LightSpread.of(limits, pair, short[0], long[0], long[1])
+            yield _FramePair(self, limits, spread, long[0].rows.dtype, long[1])
+
+    def _strips(self) -> list[Area]:
+        """Return the parts that are compared at a time, as rows and columns."""
+        rows, columns, channels = (*self.shape, 1)[:3]
+        step = max(1, STRIP_SAMPLES // (columns * channels * self.cell)) * self.cell
+        return [(slice(top, top + step), slice(0, columns)) for top in range(0, rows, step)]
+
+    def _parts(self) -> list[Area]:
+        """Return likewise those of frames between which light spread.
+
+        Charge flows along columns, so that a part has whole ones, and the marks of one whole bytes.
+        """
+        rows, columns, channels = (*self.shape, 1)[:3]
+        step = max(1, STRIP_SAMPLES // (rows * channels * 8 * self.cell)) * 8 * self.cell
+        return [(slice(0, rows), slice(left, left + step)) for left in range(0, columns, step)]
+
+    def outer(self, area: Area) -> Area:
+        """Return an area with the samples around it that are in the means of its own."""
+        rows, columns = (
+            slice(max(0, part.start - MEAN_RADIUS), min(part.stop + MEAN_RADIUS, length))
+            for part, length in zip(area, self.shape, strict=False)
+        )
+        return rows, columns
 
     def within(self, rows: slice, columns: slice) -> Mask:
         """Return which pixels have marks in any colour."""
@@ -90,48 +151,48 @@ class Marks:
 
 
 class _FramePair:
-    """Two frames that are compared, area by area."""
+    """Two frames that are compared, area by area.
+
+    Attributes:
+        short, long: positions of the frames
+        has_spread: whether light spread between them
+    """
 
     def __init__(
         self,
         total: Marks,
         limits: Limits,
         spread: LightSpread,
-        short: Pixels,
-        long: Pixels,
-        ranges: NDArray[np.uint8] | None,
+        dtype: np.dtype[np.uint8] | np.dtype[np.uint16],
+        ranges: Ranges | None,
     ) -> None:
-        self._total, self._limits, self._spread = total, limits, spread
-        self._short, self._long, self._ranges = short, long, ranges
-        self._has_means = limits.pair.is_measured and not limits.pair.sensor.is_coarse
-        self._tables = _residual_tables(limits.pair, short.dtype)
+        self._total, self._limits, self._spread, self._ranges = total, limits, spread, ranges
+        pair = limits.pair
+        self.short, self.long = pair.short.position, pair.long.position
+        self.has_spread = spread.is_any
+        self._has_means = pair.is_measured and not pair.sensor.is_coarse
+        self._tables = _residual_tables(pair, dtype)
         self._nearest = _nearest_outside(limits, *self._tables)
 
-    def areas(self) -> list[tuple[slice, slice]]:
-        """Return the rows and columns of the parts that are compared at a time."""
-        (rows, columns), cell = self._short.shape[:2], self._total.cell
-        channels = self._short.size // (rows * columns)
-        if not self._spread.is_any:
-            step = max(1, STRIP_SAMPLES // (columns * channels * cell)) * cell
-            return [(slice(top, top + step), slice(0, columns)) for top in range(0, rows, step)]
-        # Charge flows along columns, so that a part has whole ones, and the marks of one whole
-        # bytes.
-        step = max(1, STRIP_SAMPLES // (rows * channels * 8 * cell)) * 8 * cell
-        return [(slice(0, rows), slice(left, left + step)) for left in range(0, columns, step)]
+    def mark_part(self, short: Pixels, long: Pixels, area: Area) -> int:
+        """Add what contradicts in an area of whole frames; see `mark`."""
+        outer = self._total.outer(area)
+        return self.mark(area, short[outer], long[outer])
 
-    def mark(self, area: tuple[slice, slice]) -> int:
-        """Add what contradicts in an area; return how many samples can be compared."""
-        shape = self._short.shape
-        outer = tuple(
-            slice(max(0, part.start - MEAN_RADIUS), min(part.stop + MEAN_RADIUS, length))
-            for part, length in zip(area, shape, strict=False)
-        )
+    def mark(self, area: Area, short: Pixels, long: Pixels) -> int:
+        """Add what contradicts in an area; return how many samples can be compared.
+
+        Args:
+            area: rows and columns
+            short: `Marks.outer` of it in the shorter frame
+            long: in the longer one
+        """
+        outer = self._total.outer(area)
         first = outer[0].start, outer[1].start
         inner = tuple(
             slice(part.start - start, min(part.stop, length) - start)
-            for part, length, start in zip(area, shape, first, strict=False)
+            for part, length, start in zip(area, self._total.shape, first, strict=False)
         )
-        short, long = self._short[outer], self._long[outer]
         comparable = long < self._limits.pair.saturated
         residuals = self._residuals(short, long, comparable) if self._has_means else None
         found = self._outside(short, long, residuals, first)
@@ -219,7 +280,7 @@ class _FramePair:
 
     def _add_cells(
         self,
-        area: tuple[slice, slice],
+        area: Area,
         first: tuple[int, int],
         places: tuple[NDArray[np.intp], ...],
         chosen: Mask,
@@ -291,7 +352,7 @@ def _looked_up(tables: _Levels, samples: Pixels) -> _Levels:
     return np.stack([tables[k][samples[..., k]] for k in range(len(tables))], axis=-1)
 
 
-def _pack(packed: Packed, marks: Mask, area: tuple[slice, slice]) -> None:
+def _pack(packed: Packed, marks: Mask, area: Area) -> None:
     """Add marks of an area to the packed ones."""
     bits = np.packbits(marks.reshape(len(marks), -1), axis=1)
     first = area[1].start * marks[0, 0].size // 8

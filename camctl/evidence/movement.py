@@ -12,20 +12,17 @@ but the picture is wrong there: it is marked, and counted apart.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.marks import FALSE_ALARMS, STRIP_SAMPLES, Marks, Mask, Packed
-from camctl.evidence.residual import Pair
-from camctl.evidence.spill import Lines, only_beside_white
+from camctl.evidence.residual import FrameRows, Pair
+from camctl.evidence.spill import only_beside_white
 from camctl.findings import Finding, Place
-from camctl.interface.camera import Pixels
 from camctl.system.picture_operations import connected_parts, dilated
-from camctl.system.threads import in_threads
 
 #: Places that are named at most, the largest first.
 _MOST_PLACES = 5
@@ -116,39 +113,29 @@ class Movement:
         return found.reshape(-1, *self.shape[1:])
 
 
-def find_movement(frame: Callable[[int], Pixels], pairs: Sequence[Pair]) -> Movement | None:
+def find_movement(
+    rows: FrameRows, shape: tuple[int, ...], pairs: Sequence[Pair]
+) -> Movement | None:
     """Return where the frames of a capture contradict each other; None with a single frame.
 
-    Three frames are in memory at a time.
-
     Args:
-        frame: returns the samples of a frame by its position, black included
+        rows: returns some rows of a frame by its position, black included
+        shape: of a frame
         pairs: frames neighbouring in exposure, from the shortest on
     """
     if not pairs:
         return None
-
-    def load(position: int) -> tuple[Pixels, Lines]:
-        pixels = frame(position)
-        return pixels, Lines.of(pixels)
-
-    positions = [pairs[0].short.position, *(pair.long.position for pair in pairs)]
-    frames = in_threads(load, positions, 1)  # the next frame is read while two are compared
-    found: Marks | None = None
-    for pair, (short, long) in zip(pairs, pairwise(frames), strict=True):
-        if found is None:
-            found = Marks(short[0].shape, len(pairs))
-        found.add(pair, short, long)
-    assert found is not None  # there is a pair
-    return _movement(found, pairs, frame)
+    marks = Marks(shape, pairs)
+    marks.compare(rows)
+    return _movement(marks, pairs, rows)
 
 
-def _movement(marks: Marks, pairs: Sequence[Pair], frame: Callable[[int], Pixels]) -> Movement:
+def _movement(marks: Marks, pairs: Sequence[Pair], frame_rows: FrameRows) -> Movement:
     """Return what moved; frames are read again where parts of them may be light that spread."""
     rows, columns = marks.shape[:2]
     counts = _cell_counts(marks.marks, marks.shape, marks.cell)
     spread = only_beside_white(
-        marks.cells, (rows, columns), marks.cell, pairs, frame, marks.within, marks.sigmas
+        marks.cells, (rows, columns), marks.cell, pairs, frame_rows, marks.within, marks.sigmas
     )
     moves = marks.cells & ~spread
     # What moved reaches into the cells beside it that have more marks than by noise.

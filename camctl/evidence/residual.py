@@ -13,6 +13,7 @@ weight by iterated trimming.  Photographs have errors at edges besides: see `cam
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
 
@@ -36,6 +37,8 @@ from camctl.system.picture_operations import opencv
 #: Standard deviations beyond which 1 of 2,000 samples is by noise.
 _USUAL_SIGMAS = 3.5
 
+FrameRows = Callable[[int, slice], Pixels]
+"""Returns some rows of a frame by its position, black included."""
 _Floats = NDArray[np.float64]
 _Places = tuple[NDArray[np.intp], ...]
 

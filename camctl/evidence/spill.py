@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from itertools import pairwise
 from statistics import NormalDist
 
 import numpy as np
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 
 from camctl.evidence.edges import Ranges
 from camctl.evidence.patch_errors import MEAN_RADIUS
-from camctl.evidence.residual import Limits, Pair
+from camctl.evidence.residual import FrameRows, Limits, Pair
 from camctl.interface.camera import Pixels
 from camctl.system.picture_operations import connected_parts, counts_along_columns, dilated
 
@@ -168,7 +167,7 @@ def only_beside_white(
     shape: tuple[int, int],
     cell: int,
     pairs: Sequence[Pair],
-    frame: Callable[[int], Pixels],
+    frame_rows: FrameRows,
     marks: Callable[[slice, slice], NDArray[np.bool_]],
     sigmas: float,
 ) -> NDArray[np.bool_]:
@@ -182,7 +181,7 @@ def only_beside_white(
         shape: rows and columns of a frame
         cell: side of one, pixels
         pairs: of frames
-        frame: returns the samples of a frame by its position
+        frame_rows: returns some rows of a frame by its position
         marks: returns which pixels of some rows and columns contradict
         sigmas: of the limits
     """
@@ -199,16 +198,17 @@ def only_beside_white(
         )
     found = {k: marks(*part) & (labels[_cells_of(part, cell)] == k) for k, part in parts.items()}
     beside, darker, noise = (np.zeros(len(boxes)) for _ in range(3))
-    frames = map(frame, [pairs[0].short.position, *(pair.long.position for pair in pairs)])
     box = (2 * BESIDE + 1, 2 * (ACROSS + MEAN_RADIUS) + 1)
-    for pair, (short, long) in zip(pairs, pairwise(frames), strict=True):
+    for pair in pairs:
         limits = pair.limits(sigmas)
         for k, part in parts.items():
-            source = _any_colour(long[part] >= pair.saturated).view(np.uint8)
+            short, long = (
+                frame_rows(side.position, part[0])[:, part[1]] for side in (pair.short, pair.long)
+            )
+            source = _any_colour(long >= pair.saturated).view(np.uint8)
             beside[k] = np.count_nonzero(found[k] & (dilated(source, box) > 0))
-            lost = found[k] & _darker(limits, short[part], long[part])
-            darker[k] += np.count_nonzero(lost)
-            noise[k] += NormalDist().cdf(-sigmas) * short[part].size
+            darker[k] += np.count_nonzero(found[k] & _darker(limits, short, long))
+            noise[k] += NormalDist().cdf(-sigmas) * short.size
     count = np.zeros(len(boxes))
     for k, each in found.items():
         count[k] = np.count_nonzero(each)

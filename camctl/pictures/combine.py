@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any, TypeAlias
 
@@ -16,6 +17,7 @@ from camctl.evidence.movement import Movement, find_movement
 from camctl.evidence.patches import Patches, sample_patches
 from camctl.evidence.residual import Pair, Side
 from camctl.findings import Finding
+from camctl.interface.camera import Pixels
 from camctl.interface.controls import Layout
 from camctl.model.noise import FrameNoise
 from camctl.model.sensor import SensorModel
@@ -185,7 +187,12 @@ def _movements(
             )
             for short, long in pairwise(sides)
         ]
-        moved = find_movement(lambda k, view=view: view(pictures[k]), pairs)  # type: ignore[misc]
+        planes = [view(picture) for picture in pictures]
+        moved = find_movement(partial(_rows_of, planes), planes[0].shape, pairs)
         if moved is not None:
             found.append((moved, view))
     return found
+
+
+def _rows_of(frames: Sequence[Pixels], position: int, part: slice) -> Pixels:
+    return frames[position][part]

@@ -53,7 +53,8 @@ def picture_in_pq(light: NDArray[np.float32], imagecodecs: ModuleType) -> bytes:
         level=_QUALITY,
         speed=_SPEED,
         bitspersample=_BITS,
-        pixelformat="444",
+        # Of a picture without colours only the luma is stored: a third of the time and memory less.
+        pixelformat="400" if light.shape[2] == 1 else "444",
         primaries=_BT709,
         transfer=_PQ,
         matrix=_BT709,

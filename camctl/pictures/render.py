@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.movement import Movement
+from camctl.evidence.residual import FrameRows
 from camctl.interface.camera import Pixels
 from camctl.interface.colour import CameraColour
 from camctl.interface.controls import Layout
@@ -52,6 +53,8 @@ CONTRADICTING, HOT = 4, 8
 FULL_CODE = 65535
 #: Samples of a strip at most: its arrays are small beside the sum.
 STRIP_SAMPLES = 1 << 21
+#: Samples of all frames in a strip at most: with many frames, memory does not follow their number.
+_FRAME_SAMPLES = 1 << 22
 #: Rows of a strip at most: radiance.exr is compressed in blocks of 32, two of them at once.
 _STRIP_ROWS = 64
 
@@ -59,9 +62,6 @@ _STRIP_ROWS = 64
 #: deviation, which adds 0.1 % to it, from 8 (0.2 %) up.  Files are smaller, and are written in half
 #: the time.
 _LEAST_BITS, _ROUNDING = 8, 1 / 20
-
-FrameRows = Callable[[int, slice], Pixels]
-"""Returns some rows of a frame by its position, black included."""
 
 
 def as_halves(values: NDArray[np.float32]) -> NDArray[np.float16]:
@@ -236,7 +236,8 @@ class Rendering:
     def strip_rows(self, total: NDArray[np.unsignedinteger]) -> int:
         """Return the rows of a strip, a multiple of 8: no block of a JPEG file spans two."""
         row_samples: int = total.shape[1] * len(self.channels)
-        return min(_STRIP_ROWS, max(8, STRIP_SAMPLES // row_samples & ~7))
+        of_frames = _FRAME_SAMPLES // (total[0].size * self.count)
+        return min(_STRIP_ROWS, max(8, min(STRIP_SAMPLES // row_samples, of_frames) & ~7))
 
     def strips(self, total: NDArray[np.unsignedinteger]) -> Iterator[Callable[[], Strip]]:
         """Yield what makes the pictures of a sum, from top to bottom, `strip_rows` rows at a time.

@@ -16,7 +16,7 @@ import camctl
 from camctl.evidence.light_ratio import NeighbourCheck
 from camctl.evidence.marks import FALSE_ALARMS
 from camctl.evidence.movement import Movement, find_movement
-from camctl.evidence.residual import Pair, Side, outside_limits
+from camctl.evidence.residual import FrameRows, Pair, Side, outside_limits
 from camctl.interface.camera import Pixels
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import linear_response, standard_response
@@ -196,6 +196,10 @@ def compressed(picture: Floats, quality: int) -> NDArray[Any]:
     return np.asarray(decoded)
 
 
+def rows_of(frames: list[Pixels]) -> FrameRows:
+    return lambda position, part: frames[position][part]
+
+
 def movement_of(frames: list[Pixels], exposures: tuple[float, ...]) -> Movement:
     """Return what moved in photographs in sRGB, whose noise is not known."""
     check = NeighbourCheck(standard_response("srgb", 8), 0, camctl.Layout.RGB)
@@ -205,7 +209,7 @@ def movement_of(frames: list[Pixels], exposures: tuple[float, ...]) -> Movement:
         Pair(check.scale, short, long, long.exposure / short.exposure, both, 3)
         for (short, long), both in zip(pairwise(sides), pairwise(samples), strict=True)
     ]
-    movement = find_movement(frames.__getitem__, pairs)
+    movement = find_movement(rows_of(frames), frames[0].shape, pairs)
     assert movement is not None
     return movement
 
@@ -271,7 +275,7 @@ def test_a_thing_of_sixty_pixels_is_found_whether_noise_is_known_or_not(
         frames.append(np.clip(E * 256, 0, 255).astype(np.uint8))
     samples = check.sample(frames[0]).patches, check.sample(frames[1]).patches
     pair = Pair(check.scale, Side(0, 0.25, noise), Side(1, 1.0, noise), 4.0, samples)
-    movement = find_movement(frames.__getitem__, [pair])
+    movement = find_movement(rows_of(frames), frames[0].shape, [pair])
     assert movement is not None
     marks = movement.rows(0, 240) > 0
     (place,) = movement.found.places

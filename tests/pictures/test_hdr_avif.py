@@ -44,15 +44,18 @@ def decoded(path: Path, shape: tuple[int, ...]) -> NDArray[np.floating]:
     return luminance(codes) / 203
 
 
-def test_ffprobe_reads_pq_and_the_primaries_of_bt709(tmp_path: Path) -> None:
-    path = written(tmp_path, LIGHT)
+@pytest.mark.parametrize(("channels", "layout"), [(1, "gray10le"), (3, "yuv444p10le")])
+def test_ffprobe_reads_pq_and_the_primaries_of_bt709(
+    tmp_path: Path, channels: int, layout: str
+) -> None:
+    path = written(tmp_path, LIGHT[..., :channels])
     (stream,) = json.loads(run("ffprobe", "-v", "error", "-show_streams", "-of", "json", path))[
         "streams"
     ]
     assert stream["color_transfer"] == "smpte2084"
     assert stream["color_primaries"] == stream["color_space"] == "bt709"
     assert stream["color_range"] == "pc"
-    assert stream["pix_fmt"] == "yuv444p10le"
+    assert stream["pix_fmt"] == layout
 
 
 @pytest.mark.parametrize("channels", [1, 3])

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from picture_parts import rendered
 
 from camctl.interface.controls import Layout
 from camctl.model.effective import EffectiveCamera
@@ -147,3 +149,10 @@ def test_halves_are_those_of_numpy() -> None:
     assert np.array_equal(as_halves(halves.astype(np.float32)), halves)
     small = np.random.default_rng(0).uniform(0, 2.0**-14, 10000).astype(np.float32)
     assert np.abs(as_halves(small) - small.astype(np.float64)).max() <= 2.0**-25
+
+
+@pytest.mark.parametrize(("count", "rows"), [(6, 64), (64, 16)])
+def test_strips_of_many_frames_have_fewer_rows(count: int, rows: int) -> None:
+    """Rows of 64 frames of 3000 columns would be 12 million samples, and are 3 million."""
+    total, rendering = rendered(Layout.MONO, shape=(80, 3000))
+    assert replace(rendering, count=count).strip_rows(total) == rows

@@ -11,7 +11,7 @@ the least error (Wiener), v m / (m + v): where nothing moves, all frames are bel
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from camctl.evidence.movement import Movement
 from camctl.evidence.patches import Patches
+from camctl.evidence.residual import FrameRows
 from camctl.interface.camera import Pixels
 from camctl.model.light import Floats32
 from camctl.pictures.frame_light import FrameLight
@@ -33,8 +34,6 @@ from camctl.system.picture_operations import connected_parts, dilated, looked_up
 _PARTS = 2
 #: Stands for no movement; its quotients exist.
 _NO_ERROR = 1e-12
-
-FrameRows = Callable[[int, slice], Pixels]
 
 
 def find_ghosts(
