@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.evidence.patch_errors import LEAST_USABLE, TRIM
+from camctl.evidence.patch_errors import LEAST_USABLE, MOST_BIAS, TRIM
 from camctl.evidence.patch_noise import NoisePatches, VarianceModel, electrons_per_level
 from camctl.evidence.patches import Patches
 from camctl.model.distribution import MAX_READ_NOISE
@@ -304,15 +304,19 @@ def _pair(
 
     middle = mean(long)
     difference = short - long
-    spread = mean((difference - mean(difference)[:, None]) ** 2) * count / np.maximum(count - 1, 1)
+    bias = mean(difference)
+    spread = mean((difference - bias[:, None]) ** 2) * count / np.maximum(count - 1, 1)
     # The covariance of the frames is the scene's contrast: their noise is independent.
     contrast = mean((long - middle[:, None]) * (short - mean(short)[:, None]))
-    used = (count >= LEAST_USABLE * usable.shape[1]) & (ratio * middle >= _LEAST_LEVEL)
     is_even = contrast <= (_MOST_CONTRAST * middle) ** 2 + spread
     photon = middle * (gains[0] + gains[1] / ratio)
     read = np.full(middle.size, gains[0] ** 2 + (gains[1] / ratio) ** 2)
     terms = np.stack([np.maximum(photon, 0.0), read])
     rounding = [mean(squared_step.take(each)) / 12 for each in (before, after)]
+    # What moved, or has another exposure, is not of one light.
+    error = TRIM * np.sqrt(spread / np.maximum(count, 1)) + np.sqrt(12 * rounding[0])
+    used = (count >= LEAST_USABLE * usable.shape[1]) & (ratio * middle >= _LEAST_LEVEL)
+    used &= np.abs(bias) <= error + MOST_BIAS * middle
     own = mean((long - middle[:, None]) ** 2)
     # Where the quantiser of the shorter frame is not dithered, its phase is hardly known.
     error = np.sqrt(own / np.maximum(count, 1) + rounding[0])

@@ -38,14 +38,15 @@ TRIM = 4.0
 """Standard deviations from which a patch is left out: noise leaves out a third of one of the 4,800
 patches of a frame."""
 
+MOST_BIAS = 0.25
+"""Error of a response that mean errors of photographs may show, as a share of the light: beyond it
+all samples of a brightness have moved."""
+
 #: Bins of brightness in which unknown noise is measured, at most: as many values as a fit of photon
 #: noise, read noise and the processing of photographs has bends.
 _MOST_BINS = 24
 #: Rounds of trimming.
 _ROUNDS = 6
-#: Error of a response that mean errors of photographs may show, as a share of the light: beyond it
-#: all samples of a brightness have moved.
-_MOST_BIAS = 0.25
 
 _Floats = NDArray[np.float64]
 
@@ -204,7 +205,7 @@ def fitted_tables(part: PatchErrors, prediction: Prediction) -> Prediction:
         # Those beside it, too: a band of a smooth sky has one error of its own in JPEG files.
         each = slice(ends[max(0, number - 1)], ends[min(number + 2, count)])
         own = _trimmed_mean(variances[each])
-        bias = _within(median(biases[each]), _MOST_BIAS)
+        bias = _within(median(biases[each]), MOST_BIAS)
         errors = np.square(biases[each] - bias) * units[each]
         shared = max(_trimmed_mean(errors) - own / float(samples[each].mean()), 0.0)
         places.append(_median_of_ascending(middle))
