@@ -236,7 +236,7 @@ class Rendering:
     def strip_rows(self, total: NDArray[np.unsignedinteger]) -> int:
         """Return the rows of a strip, a multiple of 8: no block of a JPEG file spans two."""
         row_samples: int = total.shape[1] * len(self.channels)
-        of_frames = _FRAME_SAMPLES // (total[0].size * self.count)
+        of_frames: int = _FRAME_SAMPLES // (total[0].size * self.count)
         return min(_STRIP_ROWS, max(8, min(STRIP_SAMPLES // row_samples, of_frames) & ~7))
 
     def strips(self, total: NDArray[np.unsignedinteger]) -> Iterator[Callable[[], Strip]]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import camctl
-from camctl.records import folder_store
+from camctl.pictures.files import write_picture_files
 
 
 def test_sum_of_64_exposures_is_the_sum_of_their_frames() -> None:
@@ -33,13 +33,13 @@ def test_memory_for_the_pictures_does_not_follow_the_number_of_frames(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The patches of a frame that checks compare are freed: 4761 of 8 x 8 samples of 16 bits."""
-    write, before = folder_store.write_picture_files, []
+    before: list[int] = []
 
     def measured(*arguments: object) -> None:
         before.append(tracemalloc.get_traced_memory()[0])
-        write(*arguments)  # type: ignore[arg-type]
+        write_picture_files(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(folder_store, "write_picture_files", measured)
+    monkeypatch.setattr("camctl.records.folder_store.write_picture_files", measured)
     for number, count in enumerate((2, 4, 16)):  # the first one imports modules, too
         request = camctl.CaptureRequest(ratios=tuple(1.1**k for k in range(count)))
         with camctl.open_camera("sim", scene="ramp", size="640x640") as camera:
