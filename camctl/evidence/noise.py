@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
+from hashlib import blake2b
 from typing import NamedTuple
 
 import numpy as np
@@ -92,12 +94,46 @@ class NoiseFit(NamedTuple):
     compression_levels: float
 
 
-def _fit(patches: NoisePatches, model: VarianceModel) -> _Fit:
-    """Return the noises >= 0 that fit best.
+@dataclass(frozen=True)
+class _Question:
+    """Patches whose noise is asked for; two of the same content are equal.
+
+    Attributes:
+        content: digest of all that the noise follows from
+        patches: of the frames
+        model: of their variance
+    """
+
+    content: bytes
+    patches: NoisePatches = field(compare=False)
+    model: VarianceModel = field(compare=False)
+
+    @classmethod
+    def of(
+        cls,
+        patches: NoisePatches,
+        model: VarianceModel,
+        response: CameraResponse,
+        black: int,
+        gains: Sequence[float],
+    ) -> _Question:
+        names = [each.name for each in fields(patches) if each.name not in ("is_even", "is_plain")]
+        digest = blake2b(repr((black, *gains)).encode())
+        for each in (response.levels, *(getattr(patches, name) for name in names)):
+            digest.update(np.ascontiguousarray(each).data)
+        return cls(digest.digest(), patches, model)
+
+
+@lru_cache(maxsize=8)
+def _fit(question: _Question) -> _Fit:
+    """Return the noises >= 0 that fit best; those of the last questions are kept.
+
+    A plan and the picture that is made after it ask the same.
 
     Raises:
         np.linalg.LinAlgError: the patches do not distinguish the two noises
     """
+    patches, model = question.patches, question.model
     # The median of the single patches is a start that moving objects do not disturb.  It is too
     # large by what quantisation adds: from too small a one, few patches would fit.
     each = patches.terms.sum(axis=0)
@@ -247,7 +283,7 @@ def fit_noise(
     if patches.variance.size < _LEAST_PATCHES:
         return None
     try:
-        fit = _fit(patches, model)
+        fit = _fit(_Question.of(patches, model, response, black, gains))
         neighbours = fit.neighbours()
     except np.linalg.LinAlgError:
         return None

@@ -124,10 +124,13 @@ def _replace(
     chosen = beside | is_large
     scatter = np.zeros((2, chosen.size), np.float32)
     common = np.tile(small, (len(light), 1))
+    darkest = light.min(axis=0)
 
     def join(cells: NDArray[np.intp], *, by_cell: bool) -> NDArray[np.intp]:
         """Replace light of cells; return those that have no weights for all of a cell."""
         rest = [cells[:0]]
+        # In blocks of similar light, more frames are saturated everywhere, and not looked at.
+        cells = cells[np.argsort(darkest[cells])]
         for start in range(0, cells.size, _BLOCK // 4):
             some = cells[start : start + _BLOCK // 4]
             first = light.take(some, axis=1), deviation.take(some, axis=1), small.take(some)
@@ -256,10 +259,10 @@ class _Joined(NamedTuple):
         return _Joined(*(each[:, cells] for each in self))
 
 
-def _seeing(exposures: NDArray[Any], saturated: Sequence[NDArray[np.bool_]]) -> list[int]:
-    """Return the frames from the shortest to the last one that is not saturated everywhere."""
+def _seeing(exposures: NDArray[Any], values: Sequence[NDArray[Any]], top: np.float32) -> list[int]:
+    """Return the frames from the shortest to the last one in which a sample may count."""
     order: list[int] = np.argsort(exposures, kind="stable").tolist()
-    seeing = [k for k, at in enumerate(order) if not saturated[at].all()]
+    seeing = [k for k, at in enumerate(order) if values[at].min() <= top]
     return order[: 1 + max(seeing, default=0)]
 
 
@@ -285,7 +288,7 @@ def _joined(
     """
     reach, top = np.float32(CLIPPING_SIGMAS), np.float32(tables.sensor.highest(None))
     saturated = [each > top - reach * error for each, error in zip(values, errors, strict=True)]
-    order = _seeing(tables.exposures, saturated)
+    order = _seeing(tables.exposures, values, top)
     light = first[0]
     samples = {at: looked_up(tables.irradiance[at], values[at]) for at in order}
     unseen = [dim | other for dim, other in zip(saturated, hidden, strict=True)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from small_cameras import WrappedCamera, gradient, small_camera
 import camctl
 from camctl.captures import outputs
 from camctl.captures.sequencer import capture
+from camctl.evidence import noise
 from camctl.evidence.noise import fit_noise, measure_noise
 from camctl.evidence.patches import Patches
 from camctl.exposure.goal import CaptureRequest
@@ -250,3 +252,28 @@ def test_noise_beside_a_thing_that_moves_contradicts_nothing(
     assert report.movement.is_local == moves
     assert report.achieved.measured == (None if moves else found)
     assert any("frames show" in warning for warning in report.warnings) != moves
+
+
+def test_what_is_asked_again_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plan, and the picture that is made after it, fit the noise of the same samples."""
+    samples, gains, fitted = patches(LIGHT, 40.0), [1.0] * len(EXPOSURES), []
+    solve = noise._least_squares
+
+    def counted(*arguments: Any) -> Any:
+        fitted.append(arguments)
+        return solve(*arguments)
+
+    monkeypatch.setattr(noise, "_least_squares", counted)
+
+    def fit(samples: Sequence[Patches]) -> Any:
+        fitted.clear()
+        found = fit_noise(RESPONSE, samples, EXPOSURES, gains, 0)
+        assert found is not None
+        return found.noise.tolist()
+
+    first = fit([each.copy() for each in samples])
+    assert fitted
+    assert fit([each.copy() for each in samples]) == first
+    assert not fitted
+    assert fit(patches(LIGHT, 40.0, 1)) != first
+    assert fitted

@@ -284,6 +284,22 @@ def test_colours_of_jpeg_files_are_as_unsure_as_their_chroma(quality: int) -> No
     assert mine < other
 
 
+def test_light_beside_saturated_colours_is_that_of_each_sample_by_itself(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It depended on which other samples were computed at the same time."""
+    real, exposures, light = camera("srgb"), (1.0, 2.0, 4.0, 8.0, 16.0), windows()
+    lossy = []
+    for each in shot(light, exposures, real, FrameNoise(30.0, 0.7)):
+        data = cv2.imencode(".jpg", each[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])[1]
+        lossy.append(np.asarray(cv2.imdecode(data, 1), np.uint8)[..., ::-1])
+    found = [camctl.combine(lossy, exposures, response=real)]
+    monkeypatch.setattr("camctl.pictures.chroma_light._BLOCK", 1 << 6)
+    found.append(camctl.combine(lossy, exposures, response=real))
+    for name in ("irradiance", "sd"):
+        np.testing.assert_array_equal(*(getattr(each, name) for each in found))
+
+
 def test_light_beside_saturated_colours_is_as_exact_as_with_all_frames() -> None:
     """Frames with another colour saturated were left out: of two, the darker one was all."""
     real, exposures, light = camera("srgb"), (1.0, 4.0), windows()
