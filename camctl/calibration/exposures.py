@@ -12,12 +12,12 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from camctl.calibration.intervals import student_95
 from camctl.calibration.light import LONGEST_S, spread_times
 from camctl.calibration.limits import DIM
 from camctl.calibration.refusals import too_bright, too_dark
 from camctl.errors import CaptureError
 from camctl.evidence.patches import Patches, sample_patches
+from camctl.evidence.quantiles import Z_95, student
 from camctl.evidence.ratios import RatioEstimates, comparable_frames, estimate_ratios
 from camctl.findings import Finding
 from camctl.interface.camera import Camera
@@ -274,7 +274,7 @@ def _pooled(
     if scatter > _UNEVEN:
         warn(Finding(code="light_varies", value=scatter, details={"within": "setting"}))
     half = np.bincount(place, widths, count) / repeats
-    return means, np.hypot(half, student_95(freedom) * scatter * np.sqrt(2 / repeats))
+    return means, np.hypot(half, student(Z_95, freedom) * scatter * np.sqrt(2 / repeats))
 
 
 def _correction(value: float, log: float, half: float) -> Correction:

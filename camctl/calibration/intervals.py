@@ -8,19 +8,11 @@ from statistics import NormalDist
 
 import numpy as np
 
+from camctl.evidence.quantiles import Z_95, student
 from camctl.evidence.ratio_check import SIGNIFICANCE
 from camctl.evidence.ratio_fit import BLOCKS
 from camctl.model.response.camera import FloatArray
 from camctl.profiles.noise import Figure
-
-Z_95 = NormalDist().inv_cdf(0.975)
-"""Half the width of a 95 % confidence interval in standard deviations."""
-
-
-def student_95(freedom: float) -> float:
-    """Return the 97.5 % quantile of Student's t (Cornish and Fisher, two terms)."""
-    first, second = (Z_95**3 + Z_95) / 4, (5 * Z_95**5 + 16 * Z_95**3 + 3 * Z_95) / 96
-    return Z_95 + first / freedom + second / freedom**2
 
 
 def certain(tests: int) -> float:
@@ -52,6 +44,6 @@ def root_of_ratio(sums: Sequence[FloatArray]) -> Figure:
     squared = float(whole[0] / whole[1])
     others = (whole - parts)[:, 0] / (whole - parts)[:, 1]
     error = math.sqrt(float(np.square(others - others.mean()).sum()) * (BLOCKS - 1) / BLOCKS)
-    half = student_95(BLOCKS - 1) * error
+    half = student(Z_95, BLOCKS - 1) * error
     low, value, high = (math.sqrt(max(0.0, squared + turn * half)) for turn in (-1, 0, 1))
     return Figure(value=value, low=low, high=high)

@@ -11,10 +11,10 @@ from typing import Literal, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, computed_field
 
 from camctl.calibration import emva
-from camctl.calibration.intervals import Z_95
 from camctl.calibration.plots import draw_exposures, draw_response, draw_transfer, panel
 from camctl.calibration.single_steps import StepResult
 from camctl.errors import UsageError
+from camctl.evidence.quantiles import Z_95
 from camctl.findings import Finding
 from camctl.interface.camera import CameraInfo
 from camctl.profiles.colour import ColourRecord

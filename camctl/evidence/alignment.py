@@ -6,12 +6,13 @@ in their histograms: a response need not be known for it, and a shift changes hi
 What remains is the noise of the shorter one, about the same at every brightness, so that least
 squares find the shift: at first over all shifts of small copies, by Fourier transformation, and
 then in parts of a pixel on the contours, with weights that leave out what moved.  Blocks of the
-picture then vote whether it is one of the whole frame.
+picture then show whether it is one of the whole frame.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import ModuleType
@@ -19,48 +20,28 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.evidence.quantiles import NORMAL_MAD, student
+from camctl.evidence.ratio_check import significant_sigmas
 from camctl.model.sensor import JPEG_ERROR
 from camctl.system.picture_operations import level_counts, required_opencv
 
 #: Blocks along each side of a picture, and contour pixels of each that are compared at most.
 _BLOCKS, _POINTS = 8, 600
-#: Pixels from which on only every second row is searched for contours.
-_MANY = 300_000
 #: Longest side of the copies in which every shift is tried, and the largest share of a side.
 _COARSE_SIDE, _LARGEST = 192, 0.25
-#: Brightness from which on a pixel of a photograph may be saturated; below it, it is compared.
-_SATURATED = 1 - JPEG_ERROR
 #: Standard deviation of the blur before differences are taken, pixels.
 _BLUR = 1.0
-#: Shifts tried, how far they are apart in small copies, and the share of a picture that remains.
-_CANDIDATES, _APART, _OVERLAP = 2, 3, 0.4
 #: Bins of brightness, in each of which the mean residual is left out.
 _BINS = 48
 #: Brightness values that are distinguished where two histograms are compared.
 _RANKS = 1024
-#: Of the points every so manyth gives medians.
-_SAMPLE = 7
-#: Steps smaller than this end a fit, pixels.
-_SMALL_STEP = 0.01
-#: A fit that costs so many times as much as the best one is given up.
-_AS_GOOD = 1.1
-#: Residuals of this share of full scale count as noise where fits are compared.
-_COST_NOISE = 0.004
-#: Neighbouring pixels that have the same error, about.
-_NEIGHBOURS = 8
-#: Halvings of the copy at which the fit begins, and its steps at each size.
-_HALVINGS, _STEPS = 2, 8
-#: Residuals are limited to so many standard deviations, and those are at least this share of
-#: full scale (a quarter of a level in 8 bits).
-_MOST_SIGMAS, _LEAST_NOISE = 3.0, 0.001
-#: A block votes where its squared residuals differ by so many standard errors and by this share.
-_VOTE_SIGMAS, _VOTE_SHARE = 5.0, 0.08
-#: Blocks that must vote for a shift, and the share of all votes.
-_LEAST_VOTES, _VOTE_MAJORITY = 3, 0.75
-#: Standard errors of a displacement that is real, and one that would be seen, in pixels of copies.
-_SIGMAS, _SMALL = 5.0, 2.0
-#: Points that are needed.
-_LEAST_POINTS = 200
+#: Steps of a fit at each size, at most.
+_STEPS = 8
+#: Standard deviations at which a residual counts half: Cauchy's weights are then as exact as least
+#: squares of 95 % of the samples (Holland and Welsch, 1977).
+_CAUCHY = 2.385
+#: Least noise, as a share of full scale: the rounding to 8 bits.
+_LEAST_NOISE = 12**-0.5 / 255
 
 _Floats = NDArray[np.float32]
 _Vector = NDArray[np.float64]
@@ -84,26 +65,21 @@ def displacement(short: _Floats, long: _Floats) -> _Vector | None:
     if min(short.shape) < 24:
         return None
     matched, usable = brightness_matched(short, long)
-    if np.count_nonzero(usable) < _LEAST_POINTS:
-        return None
     blurred = cv2.GaussianBlur(short, (0, 0), _BLUR)
     template = cv2.GaussianBlur(matched, (0, 0), _BLUR)
     reach = 2 * round(2 * _BLUR) + 1
     usable = cv2.erode(usable.astype(np.uint8), np.ones((reach, reach), np.uint8)) > 0
     sizes = _pyramid(cv2, blurred, template, usable)
     levels = [_Level.of(cv2, *size) for size in sizes]
-    if np.count_nonzero(levels[0].is_valid) < _LEAST_POINTS:
+    if not all(level.is_valid.any() for level in levels):
         return None
-    places = [np.zeros(2), *_coarse(cv2, sizes)]
+    places = [np.zeros(2), _coarse(cv2, *sizes[-1]) * 2 ** (len(levels) - 1)]
     for power in range(len(levels) - 1, -1, -1):
-        fits = [_fitted(levels[power], place / 2**power, 2) for place in places]
-        fits.sort(key=lambda fit: fit.cost)
-        first, *rest = fits
-        # One that ends where the best one does, within the blur, would go on as it does.
-        others = [fit for fit in rest if np.abs(fit.place - first.place).max() > _BLUR]
-        kept = [first, *(fit for fit in others[:1] if fit.cost <= _AS_GOOD * first.cost)]
-        places = [fit.place * 2**power for fit in kept]
-    return _judged(levels[0], fits[0])
+        best = _best(
+            levels[power], [_fitted(levels[power], place / 2**power, 2) for place in places]
+        )
+        places = [best.place * 2**power]
+    return _judged(levels[0], best)
 
 
 def brightness_matched(short: _Floats, long: _Floats) -> tuple[_Floats, _Mask]:
@@ -114,7 +90,7 @@ def brightness_matched(short: _Floats, long: _Floats) -> tuple[_Floats, _Mask]:
     # Of equal ranks the middle: many pixels may be black in both.
     middle = ranks[1] - counts[1] / (2 * short.size)
     low = np.interp(middle, *_rising(ranks[0], np.arange(1, _RANKS + 1) / _RANKS))
-    return low.astype(np.float32)[indices[1]], long < _SATURATED
+    return low.astype(np.float32)[indices[1]], long < 1 - JPEG_ERROR
 
 
 def _rising(ranks: _Vector, values: _Vector) -> tuple[_Vector, _Vector]:
@@ -123,39 +99,29 @@ def _rising(ranks: _Vector, values: _Vector) -> tuple[_Vector, _Vector]:
 
 
 def _pyramid(cv2: ModuleType, image: _Floats, template: _Floats, usable: _Mask) -> list[_Size]:
-    """Return image, template and what is valid of it in full, half, and quarter size."""
+    """Return image, template and what is valid of it in full size, half of it, and so on."""
     found = [(image, template, usable)]
-    for _ in range(_HALVINGS):
-        image, template, usable = found[-1]
-        if min(image.shape) < 96:
-            break
+    while max(image.shape) > _COARSE_SIDE:
         size = image.shape[1] // 2, image.shape[0] // 2
         area = cv2.INTER_AREA
         share = cv2.resize(usable.astype(np.float32), size, interpolation=area)
         halves = [cv2.resize(each, size, interpolation=area) for each in (image, template)]
-        found.append((halves[0], halves[1], share > 0.999))
+        image, template, usable = halves[0], halves[1], share > 0.999
+        found.append((image, template, usable))
     return found
 
 
-def _coarse(cv2: ModuleType, sizes: list[_Size]) -> list[_Vector]:
-    """Return the shifts at which small copies correlate best, in pixels of the full ones."""
-    image, template, usable = sizes[-1]
-    full = sizes[0][0].shape
-    scale = max(1.0, max(image.shape) / _COARSE_SIDE)
-    size = round(image.shape[1] / scale), round(image.shape[0] / scale)
-    one, mask, other = (
-        cv2.resize(each, size, interpolation=cv2.INTER_AREA)
-        for each in (template, usable.astype(np.float32), image)
-    )
-    mask = (mask > 0.99).astype(np.float32)
-    height, width = one.shape
+def _coarse(cv2: ModuleType, image: _Floats, template: _Floats, usable: _Mask) -> _Vector:
+    """Return the shift at which small copies correlate best."""
+    mask = usable.astype(np.float32)
+    height, width = image.shape
     shape = cv2.getOptimalDFTSize(height * 3 // 2), cv2.getOptimalDFTSize(width * 3 // 2)
 
     def transformed(values: _Floats) -> NDArray[np.complex128]:
         return np.fft.rfft2(values, shape)
 
-    offset = float(other.mean())
-    one, other = one - offset, other - offset
+    offset = float(image.mean())
+    one, other = template - offset, image - offset
     ours = [transformed(mask * one**power) for power in range(3)]
     theirs = [np.conj(transformed(other**power)) for power in range(3)]
 
@@ -172,16 +138,9 @@ def _coarse(cv2: ModuleType, sizes: list[_Size]) -> list[_Vector]:
     )
     rows, columns = (np.fft.fftfreq(length, 1 / length).astype(int) for length in shape)
     allowed = (np.abs(rows) <= _LARGEST * height)[:, None] & (np.abs(columns) <= _LARGEST * width)
-    allowed &= count > _OVERLAP * mask.sum()
-    correlation = np.where(allowed, correlation, -1)
-    found = []
-    for _ in range(_CANDIDATES):
-        best = np.unravel_index(int(np.argmax(correlation)), correlation.shape)
-        row, column = int(rows[best[0]]), int(columns[best[1]])
-        found.append(np.array([-column * full[1] / width, -row * full[0] / height]))
-        near = (np.abs(rows - row) <= _APART)[:, None] & (np.abs(columns - column) <= _APART)
-        correlation[near] = -1
-    return found
+    best = int(np.argmax(np.where(allowed, correlation, -1)))
+    row, column = divmod(best, columns.size)
+    return np.array([-columns[column], -rows[row]], np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,24 +171,21 @@ class _Level:
         down = cv2.Sobel(template, cv2.CV_32F, 0, 1, scale=1 / 8)
         steep = np.where(usable, across**2 + down**2, -1)
         steep[[0, -1]] = steep[:, [0, -1]] = -1
-        every = 2 if template.size > _MANY else 1  # of the rows: neighbours tell the same
-        height, width = steep.shape[0] // every // _BLOCKS, steep.shape[1] // _BLOCKS
-        blocks = steep[::every][: _BLOCKS * height, : _BLOCKS * width]
+        height, width = (length // _BLOCKS for length in steep.shape)
+        blocks = steep[: _BLOCKS * height, : _BLOCKS * width]
         blocks = blocks.reshape(_BLOCKS, height, _BLOCKS, width)
         blocks = blocks.transpose(0, 2, 1, 3).reshape(_BLOCKS**2, -1)
         count = min(_POINTS, blocks.shape[1])
         places = np.argpartition(blocks, blocks.shape[1] - count, axis=1)[:, -count:]
         tops, lefts = np.divmod(np.arange(_BLOCKS**2)[:, None], _BLOCKS)
-        rows, columns = every * (places // width + tops * height), places % width + lefts * width
+        rows, columns = places // width + tops * height, places % width + lefts * width
         x = np.asarray(columns - (template.shape[1] - 1) / 2, np.float32)
         y = np.asarray(rows - (template.shape[0] - 1) / 2, np.float32)
         across, down, values = (each[rows, columns] for each in (across, down, template))
         is_valid = steep[rows, columns] > 0
         half = max(template.shape) / 2
         turn, growth = (down * x - across * y) / half, (across * x + down * y) / half
-        edges = np.quantile(
-            np.append(values[is_valid][::_SAMPLE], 0), np.linspace(0, 1, _BINS + 1)[1:-1]
-        )
+        edges = np.quantile(np.append(values[is_valid], 0), np.linspace(0, 1, _BINS + 1)[1:-1])
         bins = np.searchsorted(edges, values).astype(np.int32)
         found = cls(image, x, y, values, bins, is_valid, np.stack((across, down, turn, growth), -1))
         for column in range(4):  # what a change of brightness explains is no displacement
@@ -272,28 +228,39 @@ class _Level:
         x += np.float32(columns + (width - 1) / 2)
         y += np.float32(rows + (height - 1) / 2)
         inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1) & self.is_valid
-        values = cv2.remap(self.image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        # Linear interpolation lessens the noise between pixels: what is displaced by a part of one
+        # would fit better than what is at rest.
+        values = cv2.remap(self.image, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         return self.without_bins(values - self.values, inside), inside
 
 
 def _noise(residuals: _Floats, valid: _Mask) -> float:
-    values = np.abs(residuals[valid][::_SAMPLE])
-    return max(1.48 * float(np.median(values)) if values.size else 0.0, _LEAST_NOISE)
+    values = np.abs(residuals[valid])
+    return max(float(np.median(values)) / NORMAL_MAD if values.size else 0.0, _LEAST_NOISE)
 
 
-def _cost(residuals: _Floats, valid: _Mask) -> float:
-    """Return how well a place fits: the logarithm is less sensitive to what moved than squares."""
-    values = residuals[valid]
-    if values.size < _LEAST_POINTS:
-        return math.inf
-    return float(np.mean(np.log1p((values / _COST_NOISE) ** 2)))
+def _costs(compared: Sequence[_Residuals]) -> tuple[list[_Floats], _Mask]:
+    """Return how badly each of several places fits at the points that are valid at all of them.
+
+    The logarithm of Cauchy's distribution is less sensitive to what moved than squares.
+    """
+    use = np.logical_and.reduce([valid for _, valid in compared])
+    scale = _CAUCHY * min(_noise(residuals, use) for residuals, _ in compared)
+    return [np.where(use, np.log1p((each / scale) ** 2), 0) for each, _ in compared], use
+
+
+def _best(level: _Level, fits: Sequence[_Fit]) -> _Fit:
+    """Return the fit whose residuals are smallest."""
+    if len(fits) == 1:
+        return fits[0]
+    costs, _ = _costs([level.residuals(fit.place) for fit in fits])
+    return fits[int(np.argmin([each.sum() for each in costs]))]
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
     place: _Vector
     errors: _Vector
-    cost: float
 
 
 def _fitted(level: _Level, start: _Vector, size: int) -> _Fit:
@@ -303,49 +270,65 @@ def _fitted(level: _Level, start: _Vector, size: int) -> _Fit:
     for _ in range(_STEPS):
         residuals, valid = level.residuals(place)
         noise = _noise(residuals, valid)
-        weights = np.where(valid, 1 / (1 + (residuals / (2 * noise)) ** 2), 0).ravel()
+        weights = np.where(valid, 1 / (1 + (residuals / (_CAUCHY * noise)) ** 2), 0).ravel()
         weighted = slopes * weights[:, None]
         matrix = (weighted.T @ slopes).astype(np.float64)
         matrix += np.diag(np.diag(matrix) * 1e-6 + 1e-9)
         step = np.linalg.solve(matrix, weighted.T @ residuals.ravel())
         place = place - step
-        if np.abs(step).max() < _SMALL_STEP:
+        # The blur makes neighbours alike: so many pixels have one error.
+        alike = 4 * math.pi * _BLUR**2
+        errors = noise * np.sqrt(alike * np.diag(np.linalg.inv(matrix)))
+        if (np.abs(step) < errors).all():
             break
-    residuals, valid = level.residuals(place)
-    errors = noise * np.sqrt(np.diag(np.linalg.inv(matrix)))
-    return _Fit(place, errors, _cost(residuals, valid))
+    return _Fit(place, errors)
 
 
-def _carried(before: _Residuals, after: _Residuals) -> bool:
-    """Return whether of the blocks that fit clearly better before or after enough do after."""
-    use = after[1] & before[1]
-    noise = min(_noise(residuals, use) for residuals, _ in (before, after))
-    still, moved = (np.minimum((each / noise) ** 2, _MOST_SIGMAS**2) for each, _ in (before, after))
-    count = np.maximum(np.count_nonzero(use, axis=1), 1)
-    gains = np.where(use, still - moved, 0)
-    mean = gains.sum(axis=1) / count
-    deviation = np.sqrt(np.maximum((gains**2).sum(axis=1) / count - mean**2, 0))
-    error = deviation * np.sqrt(_NEIGHBOURS / count) + 1e-9
-    worse = np.where(use, np.maximum(still, moved), 0).sum(axis=1) / count
-    is_sure = (np.abs(mean) > _VOTE_SIGMAS * error) & (np.abs(mean) > _VOTE_SHARE * worse)
-    pro, contra = (int(np.count_nonzero(is_sure & (sign * mean > 0))) for sign in (1, -1))
-    return pro >= _LEAST_VOTES and pro >= _VOTE_MAJORITY * (pro + contra)
+def _is_better(before: _Residuals, after: _Residuals, tests: int) -> bool:
+    """Return whether the blocks of the picture fit better after than before, and not by chance.
+
+    Their scatter holds what moved in some of them, and what neighbouring pixels have in common.
+
+    Args:
+        before: residuals of one place
+        after: of the other one
+        tests: over which the significance level is divided
+    """
+    (still, moved), _ = _costs((before, after))
+    gains = (still - moved).sum(axis=1, dtype=np.float64)
+    gains = gains[gains != 0]  # of blocks that can be compared
+    if gains.size < 2:
+        return False
+    limit = student(significant_sigmas(tests), gains.size - 1.0)
+    return bool(gains.mean() > limit * gains.std(ddof=1) / math.sqrt(gains.size))
 
 
 def _judged(level: _Level, fit: _Fit) -> _Vector | None:
-    """Return the displacement of `fit` where enough blocks vote for it."""
+    """Return the displacement of `fit` where the blocks confirm it."""
     whole = _fitted(level, fit.place, 4)
     still, shifted, turned = map(level.residuals, (np.zeros(2), fit.place, whole.place))
-    if _carried(shifted, turned) and _carried(still, turned):
-        return _known(whole) / (1, 1, level.half, level.half)
-    if _carried(still, shifted):
-        return np.append(_known(fit), (0, 0))
-    # It is at rest where blocks vote against small displacements in all directions.
-    moves = np.array(((_SMALL, 0), (-_SMALL, 0), (0, _SMALL), (0, -_SMALL)))
-    is_at_rest = all(_carried(level.residuals(move), still) for move in moves)
+    pairs = ((shifted, turned), (still, turned), (still, shifted))
+    is_turned, is_either, is_shifted = (_is_better(*pair, len(pairs)) for pair in pairs)
+    if is_turned and is_either:
+        return _inverse(_known(whole) / (1, 1, level.half, level.half))
+    if is_shifted:
+        return _inverse(np.append(_known(fit), (0, 0)))
+    # It is at rest where displacements by the blur fit worse in all directions.
+    moves = _BLUR * np.array(((1, 0), (-1, 0), (0, 1), (0, -1)))
+    is_at_rest = all(_is_better(level.residuals(move), still, 1) for move in moves)
     return np.zeros(4) if is_at_rest else None
 
 
 def _known(fit: _Fit) -> _Vector:
-    """Return what is beyond its error, from the shorter exposure to the longer one."""
-    return np.where(np.abs(fit.place) > _SIGMAS * fit.errors, -fit.place, 0)
+    """Return what is beyond its error."""
+    return np.where(
+        np.abs(fit.place) > significant_sigmas(fit.place.size) * fit.errors, fit.place, 0
+    )
+
+
+def _inverse(place: _Vector) -> _Vector:
+    """Return the displacement of the longer exposure for one of the shorter exposure."""
+    columns, rows, turn, growth = place.tolist()
+    back = 1 / complex(1 + growth, turn)
+    centre = -complex(columns, rows) * back
+    return np.array((centre.real, centre.imag, back.imag, back.real - 1)) + 0.0  # no -0

@@ -18,8 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.evidence.patch_errors import MOST_OFFSET, NORMAL_MAD, PatchErrors, weighted_median
+from camctl.evidence.patch_errors import MOST_OFFSET, PatchErrors, weighted_median
 from camctl.evidence.patches import Patches, sample_patches
+from camctl.evidence.quantiles import NORMAL_MAD
 from camctl.evidence.ratio_check import (
     LAMP_DEPTH,
     LEAST_COMPARED,

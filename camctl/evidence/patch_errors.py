@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.patches import Patches
+from camctl.evidence.quantiles import NORMAL_MAD
 from camctl.model.sensor import RESPONSE_ERROR, Prediction, SensorModel
 
 MEAN_RADIUS = 2
@@ -23,9 +24,6 @@ MEAN_SAMPLES = (2 * MEAN_RADIUS + 1) ** 2
 
 LEAST_PATCHES = 32
 """Patches of one measured value, at least: its standard error is then 20 % of their scatter."""
-
-NORMAL_MAD = 0.6745
-"""Median absolute deviation of a normal variable, standard deviations."""
 
 MOST_OFFSET = 0.001
 """Largest light that is added to all samples, as a share of full scale: smear of a CCD without a

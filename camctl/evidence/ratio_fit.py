@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from camctl.evidence.quantiles import NORMAL_MAD
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import BLACK_ERROR_LEVELS
 
@@ -46,7 +47,7 @@ class RatioFit:
         for _ in range(_STEPS):
             residual = self._residuals(x, black, self._weights)
             size = np.abs(residual) * np.sqrt(self._weights)
-            self.scatter = max(1.0, 1.4826 * float(np.median(size[self._weights > 0])))
+            self.scatter = max(1.0, float(np.median(size[self._weights > 0])) / NORMAL_MAD)
             keep = np.square(np.clip(1 - np.square(size / (_TUKEY * self.scatter)), 0, None))
             weights = self._weights * keep
             before = x

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from camctl.errors import DataError
 from camctl.evidence.patches import Patches, shared_rounding
-from camctl.evidence.ratio_fit import RatioFit
+from camctl.evidence.quantiles import Z_95, student
+from camctl.evidence.ratio_fit import BLOCKS, RatioFit
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import CLIPPING_SIGMAS, SensorModel
@@ -33,8 +34,6 @@ _LEAST_PATCHES = 12
 _FLOOR = 1e-3
 #: Noise of a camera that does not state it, levels: more than rounding alone.
 _UNKNOWN_NOISE = FrameNoise(math.inf, 1.0)
-#: 97.5 % quantiles: normal distribution, and Student's with `BLOCKS` - 1 degrees of freedom.
-_NORMAL_QUANTILE, _QUANTILE = 1.96, 2.131
 #: A patch is lost if its robust weight is below the first share of its weight; something moved
 #: if more than the second share of the patches are lost.
 _LOST, _MOST_LOST = 0.1, 0.4
@@ -117,13 +116,13 @@ def estimate_ratios(
     if moved > _MOST_LOST or fit.scatter > _MOST_SCATTER:
         raise differ
     try:
-        own = _QUANTILE * fit.standard_errors(robust)
+        own = student(Z_95, BLOCKS - 1) * fit.standard_errors(robust)
     except np.linalg.LinAlgError:  # without one block of patches an exposure is unknown
         raise DataError(
             "a frame agrees with the others in one small place only: its exposure is not certain",
             hint="leave it out, or take frames whose exposures lie closer together",
         ) from None
-    exponent = _NORMAL_QUANTILE * scale.exponent_error
+    exponent = Z_95 * scale.exponent_error
     half = np.hypot(own, exponent * x)
     label = labels[reference]
     return RatioEstimates(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from camctl.captures.metering import meter_light
 from camctl.captures.plan import plan_capture
 from camctl.evidence.noise import fit_noise
 from camctl.evidence.patches import Patches
+from camctl.evidence.quantiles import NORMAL_MAD
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.search.best import longest_base_s
 from camctl.exposure.search.settings import relative_exposures, search_choices
@@ -27,8 +27,6 @@ from camctl.records.capture_plan import CapturePlan
 
 #: Share of the light of a scene that is below its range: the deepest dark.
 _SHADOWS = 0.005
-#: Median of a half of a normal distribution, in standard deviations.
-_HALF_NORMAL = NormalDist().inv_cdf(0.75)
 #: Dynamic ranges that a picture gets without being asked for.
 _LEAST_RANGE, _MOST_RANGE = 16.0, 1e7
 
@@ -70,7 +68,7 @@ def _noise_below_black(light: NDArray[np.float64]) -> float:
     standard deviation.  Fewer than the deepest dark change nothing, and may be faults of pixels.
     """
     below = -light[light < 0]
-    return float(np.median(below)) / _HALF_NORMAL if below.size > _SHADOWS * light.size else 0.0
+    return float(np.median(below)) / NORMAL_MAD if below.size > _SHADOWS * light.size else 0.0
 
 
 def plan_photographs(

@@ -27,10 +27,10 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "helpers"))
 
 from opencv_levels import levels_of, opencv_curves
 
-from camctl.calibration.intervals import Z_95
 from camctl.calibration.response.estimate import ResponseEstimate, estimate_response
 from camctl.calibration.response.series import Series
 from camctl.errors import DataError
+from camctl.evidence.quantiles import Z_95
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray
 from camctl.model.response.measured import ResponseModel, read_response_model

@@ -10,17 +10,17 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.intervals import root_of_ratio, student_95
+from camctl.calibration.intervals import root_of_ratio
 from camctl.calibration.limits import DIM, FEW
 from camctl.calibration.noise.pattern import HOT
 from camctl.calibration.refusals import check_size
 from camctl.errors import DataError
+from camctl.evidence.quantiles import NORMAL_MAD, Z_95, student
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureSetting
 from camctl.model.response.camera import FloatArray
@@ -39,8 +39,6 @@ TIMES, LONGEST_S = 5, 4.0
 _NOT_HOT = 0.95
 #: Noise of a sample, with rounding, that the frames need, DN.
 _LEAST_NOISE = 0.4
-#: Median of the absolute deviation of normal numbers of standard deviation 1.
-_MEDIAN_SHARE = NormalDist().inv_cdf(0.75)
 
 
 @dataclass(eq=False)
@@ -141,7 +139,7 @@ def _line(times: FloatArray, means: FloatArray) -> tuple[float, Figure]:
     start = float(means.mean() - slope * times.mean())
     freedom = times.size - 2
     scatter = np.square(means - start - slope * times).sum() / freedom
-    half = student_95(freedom) * math.sqrt(float(scatter / np.square(centred).sum()))
+    half = student(Z_95, freedom) * math.sqrt(float(scatter / np.square(centred).sum()))
     ends = [max(0.0, slope + turn * half) for turn in (-1, 0, 1)]
     return start, Figure(low=ends[0], value=ends[1], high=ends[2])
 
@@ -154,10 +152,10 @@ def _hot_pixels(
 ) -> list[HotPixel]:
     """Return the pixels that are far brighter than others, and more so after a longer time."""
     a, b = pairs[-1]
-    noise = float(np.median(np.abs(a - b))) / (_MEDIAN_SHARE * math.sqrt(2))
+    noise = float(np.median(np.abs(a - b))) / (NORMAL_MAD * math.sqrt(2))
     lower = np.minimum(a, b)
     middle = float(np.median(lower))
-    pattern = float(np.median(np.abs(lower - middle))) / _MEDIAN_SHARE
+    pattern = float(np.median(np.abs(lower - middle))) / NORMAL_MAD
     excess = HOT * max(pattern, noise, 0.5)
     found = np.nonzero(lower > middle + excess)
     signals = [(first[found] + second[found]) / 2 for first, second in pairs]

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.intervals import Z_95
 from camctl.calibration.limits import DIM, FEW, LEAST_PATCHES, MOST_MOVED
 from camctl.calibration.refusals import all_saturated, moved
 from camctl.calibration.response.fit import ChartSamples, ResponseFit
 from camctl.calibration.response.matches import Matches
 from camctl.calibration.response.series import Series
 from camctl.errors import DataError
+from camctl.evidence.quantiles import Z_95
 from camctl.findings import Finding
 from camctl.model.response.camera import FloatArray
 from camctl.profiles.response import ResponseRecord

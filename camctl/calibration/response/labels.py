@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.intervals import Z_95, student_95
 from camctl.calibration.response.exponent import STEEP, expected_exponent
 from camctl.calibration.response.fit import ResponseFit
 from camctl.errors import DataError
+from camctl.evidence.quantiles import Z_95, student
 from camctl.findings import Finding
 from camctl.messages.calibration import contradiction_hint, exposures_contradict
 from camctl.model.response.camera import FloatArray
@@ -211,7 +211,7 @@ def _standard_error(logs: FloatArray, errors: FloatArray) -> float:
     if logs.size < 3 or spread == 0:
         return 0.0
     scatter = float(np.sum(np.square(errors - np.polyval(np.polyfit(logs, errors, 1), logs))))
-    wider = student_95(max(_LEAST_FREEDOM, logs.size - 2)) / Z_95
+    wider = student(Z_95, max(_LEAST_FREEDOM, logs.size - 2)) / Z_95
     return wider * math.sqrt(scatter / (logs.size - 2) / spread)
 
 

@@ -1,0 +1,22 @@
+"""Quantiles of the normal distribution and of Student's."""
+
+from __future__ import annotations
+
+import math
+from statistics import NormalDist
+
+Z_95 = NormalDist().inv_cdf(0.975)
+"""Half the width of a 95 % confidence interval in standard deviations."""
+
+NORMAL_MAD = NormalDist().inv_cdf(0.75)
+"""Median absolute deviation of a normal variable, standard deviations."""
+
+
+def student(sigmas: float, freedom: float) -> float:
+    """Return the quantile of Student's t that is as probable as so many standard deviations.
+
+    Wallace, "Bounds on normal approximations to Student's and the chi-square distributions", 1959:
+    it is exact to 0.04 % from 10 degrees of freedom on, and too large by 4 % at 2, for 95 %.
+    """
+    wider = sigmas * (8 * freedom + 3) / (8 * freedom + 1)
+    return math.sqrt(freedom * math.expm1(wider**2 / freedom))
