@@ -257,24 +257,16 @@ class LightTables:
         self._truncate(E, deviation)
         return E, deviation
 
-    def refine(
-        self,
-        values: Sequence[NDArray[Any]],
-        E: Floats32,
-        deviation: Floats32,
-        where: NDArray[np.bool_] | None = None,
-    ) -> None:
+    def refine(self, values: Sequence[NDArray[Any]], E: Floats32, deviation: Floats32) -> None:
         """Replace what `mean` returned where exact probabilities of the steps say another light.
 
         Args:
             values: samples of each frame, (S,)
             E: their light
             deviation: of it
-            where: samples to replace at most; None: all
         """
         bins = self.bins(E)
-        exact = self._exact.take(bins)
-        chosen = np.flatnonzero(exact if where is None else exact & where)
+        chosen = np.flatnonzero(self._exact.take(bins))
         doubtful = np.zeros(chosen.size, np.bool_)
         if chosen.size and self._scores is not None:
             first = bins[chosen]

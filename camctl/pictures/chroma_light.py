@@ -56,7 +56,7 @@ def share_chroma_errors(
         frames: the same rows of each, (rows, columns, 3), clipped at white, from a block on
         tables: of red, green and blue
         details: what the file of each frame loses besides; empty where this is not known
-        irradiance: as if there were none and noise dithered the quantiser, at exposure 1
+        irradiance: as if there were none, at exposure 1
         deviation: likewise; what is not a number stays so
     """
     rows, columns = irradiance.shape[:2]
@@ -159,29 +159,12 @@ def _replace(
         mixed |= is_hidden.any(axis=0) & ~(each > top).all(axis=0)
     rest = join(np.flatnonzero(chosen & ~mixed), by_cell=True)
     join(np.concatenate([rest, np.flatnonzero(chosen & mixed)]), by_cell=False)
-    _refine(tables, values, light, deviation, ~(chosen | np.isinf(deviation)))
     shape = chosen.size // columns, columns
     measured, expected = (box_means(each.reshape(shape), _AROUND).ravel() for each in scatter)
     ratio = np.sqrt((measured + _KNOWN) / (expected + _KNOWN))
     deviation *= np.where(chosen, ratio, np.float32(1))
     # Four times as fast as `np.hypot`; none of them is so small that its square vanishes.
     np.sqrt(np.square(deviation) + np.square(common), out=deviation)
-
-
-def _refine(
-    tables: LightTables,
-    values: Sequence[NDArray[Any]],
-    light: Floats32,
-    deviation: Floats32,
-    where: NDArray[np.bool_],
-) -> None:
-    """Refine light and deviation of samples, (4, cells) each; what is not a number stays so."""
-    flat = [np.ravel(each) for each in (light, deviation, where, *values)]
-    for start in range(0, light.size, _BLOCK):
-        E, error, some, *samples = (each[start : start + _BLOCK] for each in flat)
-        unknown = np.isnan(error)
-        tables.refine(samples, E, error, some)
-        error[unknown] = np.nan
 
 
 def _beside_saturated(

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from threading import local
 from typing import Any, NamedTuple
 
@@ -65,7 +64,6 @@ class Estimator:
         deviation: of an estimate at each of them; NaN where it is not known
         gain: the standard deviation of the sum's light over `deviation`, likewise
         tables: that it uses; None: of a sum
-        mean: `estimate` without what `LightTables.refine` does; None: of a sum
     """
 
     estimate: Estimate
@@ -73,7 +71,6 @@ class Estimator:
     deviation: NDArray[np.floating[Any]]
     gain: NDArray[np.floating[Any]]
     tables: LightTables | None = None
-    mean: Estimate | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,11 +181,7 @@ class FrameLight:
     def _memories(self) -> list[LightMemory]:
         """Return what estimates the light of each part in this thread."""
         if not hasattr(self._kept, "memories"):
-            memories = {
-                # Where colours have notable errors, the light is replaced, and refined elsewhere.
-                each: LightMemory(each.mean if self.chroma and each.mean else each.estimate)
-                for _, each in self.parts
-            }
+            memories = {each: LightMemory(each.estimate) for _, each in self.parts}
             self._kept.memories = [memories[each] for _, each in self.parts]
         return list(self._kept.memories)
 
@@ -285,7 +278,9 @@ def frame_light(
         if is_sum:
             estimate = _sum(frames, prior, is_known=is_known)
         else:
-            estimate = _likelihood(frames, fit, gains, is_known=is_known)
+            estimate = _likelihood(
+                frames, fit, gains, is_known=is_known, is_independent=plain is None
+            )
         if fit is None:  # parts of one response and noise share what is found of their samples
             estimate = alike.setdefault(frames, estimate)
         found.append((part, estimate))
@@ -362,9 +357,18 @@ def _frame_noise(
 
 
 def _likelihood(
-    frames: FrameSet, fit: NoiseFit | None, gains: Sequence[float], *, is_known: bool
+    frames: FrameSet,
+    fit: NoiseFit | None,
+    gains: Sequence[float],
+    *,
+    is_known: bool,
+    is_independent: bool,
 ) -> Estimator:
-    """Return the estimator from all frames."""
+    """Return the estimator from all frames.
+
+    Their exact probabilities are those of frames whose errors are independent.  Errors of colours
+    of JPEG files are not: dark ones are black in many frames at once, and each one would count.
+    """
     tables = light_tables(frames)
     certain = np.full(tables.deviation.shape, is_known)
     if fit is not None:
@@ -379,10 +383,10 @@ def _likelihood(
     top = len(frames.exposures) * tables.sensor.white
 
     def estimate(
-        values: list[NDArray[Any]], total: NDArray[np.unsignedinteger], *, exactly: bool
+        values: list[NDArray[Any]], total: NDArray[np.unsignedinteger]
     ) -> tuple[Floats32, Floats32]:
         E, deviation = tables.mean(values, total)
-        if exactly:
+        if is_independent:
             tables.refine(values, E, deviation)
         if not is_all_certain:
             deviation[~certain.take(tables.bins(E))] = np.nan
@@ -393,12 +397,11 @@ def _likelihood(
 
     known = np.where(certain, tables.deviation, np.nan)
     return Estimator(
-        partial(estimate, exactly=True),
+        estimate,
         tables.lights,
         known,
         tables.of_sum / tables.deviation,
         tables,
-        partial(estimate, exactly=False),
     )
 
 

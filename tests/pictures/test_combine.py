@@ -335,6 +335,30 @@ def test_detail_that_all_jpeg_files_lose_alike_is_part_of_the_standard_deviation
     assert 0.62 < np.mean(z < 0.99446) < 0.76
 
 
+def test_dark_colours_of_jpeg_files_are_not_the_darker_for_many_black_frames() -> None:
+    """Frames lose a dark colour together: red that few frames show was 26 % too dark."""
+    real = CameraResponse((np.arange(1, 256) / 256) ** 0.75, "coarse at black")
+    exposures = tuple(1.35**k for k in range(10))
+    rng = np.random.default_rng(3)
+    coarse = cv2.resize(rng.normal(0, 1, (24, 36)), (384, 256), interpolation=cv2.INTER_CUBIC)
+    fine = cv2.GaussianBlur(rng.normal(0, 1, (256, 384)), (0, 0), 1.2)
+    first = real.levels[0] / max(exposures)
+    light = first * np.exp(0.5 * coarse + 0.6 * fine)[..., np.newaxis] * (2.2, 1.4, 0.7)
+    light[:, :128] *= 60  # where the noise is measured
+    lossy = []
+    for each in shot(light, exposures, real, FrameNoise(25.0, 0.6)):
+        data = cv2.imencode(".jpg", each[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 98])[1]
+        lossy.append(np.asarray(cv2.imdecode(data, 1), np.uint8)[..., ::-1])
+    found = camctl.combine(lossy, exposures, response=real)
+    few = np.count_nonzero(lossy, axis=0)
+    dark = (few >= 1) & (few <= 2)
+    dark[..., 1:] = False
+    assert np.count_nonzero(dark) > 2000
+    ratios = np.log(found.irradiance / light)[dark]
+    assert abs(ratios.mean()) < 0.1
+    assert np.sqrt(np.mean(ratios**2)) < 0.2
+
+
 def test_the_offset_of_a_short_exposure_contradicts_no_longer_one() -> None:
     """Four levels of it are 20 times the light of a wall; most of that was called dark."""
     real, exposures, light = camera("srgb"), tuple(4.0**k for k in range(7)), windows() / 64
