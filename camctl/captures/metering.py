@@ -24,6 +24,7 @@ from camctl.interface.camera import (
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.response.camera import FloatArray
 from camctl.system.number_text import time_text
+from camctl.system.picture_operations import level_counts
 
 #: Share of a channel's samples above the highlights: reflections of lamps, and hot pixels.
 OUTLIER_SHARE = 1e-4
@@ -68,7 +69,7 @@ def highlight(frame: Frame, camera: Camera) -> tuple[int, float]:
     """
     brightest, clipped, total = 0, 0, 0
     for plane in camera.controls.layout.planes(frame.pixels):
-        counts = np.bincount(_sample(plane), minlength=frame.white + 1)
+        counts = np.bincount(_sample(plane).ravel(), minlength=frame.white + 1)
         above = np.cumsum(counts[::-1])[::-1]  # above[B]: samples of brightness >= B
         allowed = OUTLIER_SHARE * above[0]
         brightest = max(brightest, int(np.flatnonzero(above > allowed)[-1]))
@@ -78,9 +79,20 @@ def highlight(frame: Frame, camera: Camera) -> tuple[int, float]:
 
 
 def _sample(plane: NDArray[Any]) -> NDArray[Any]:
-    """Return about `_MOST_SAMPLES` samples of a plane at most, (N,), evenly spread."""
+    """Return about `_MOST_SAMPLES` samples of a plane at most, evenly spread."""
     step = max(1, math.isqrt(plane.size // _MOST_SAMPLES))
-    return plane[::step, ::step].ravel()
+    return np.ascontiguousarray(plane[::step, ::step])
+
+
+def _level_counts(
+    samples: NDArray[Any], black: int, most: int, where: NDArray[np.bool_]
+) -> NDArray[np.int64]:
+    """Return how many samples are 0, 1, ... `most` levels above black, or beyond these."""
+    counts = level_counts(samples, np.iinfo(samples.dtype).max + 1, where)
+    inner = counts[black : black + most + 1].copy()
+    inner[0] += counts[:black].sum()
+    inner[-1] += counts[black + most + 1 :].sum()
+    return inner
 
 
 class MeteringFrames:
@@ -300,13 +312,13 @@ def light_histogram(source: MeteringFrames, metering: Metering, *, lower_end: fl
         frame = source.take(setting)
         scale = full / setting.exposure
         planes = controls.layout.planes(frame.pixels)
-        samples = [np.clip(_sample(plane).astype(np.intp) - frame.black, 0, M) for plane in planes]
-        unread = unread or [np.ones(each.size, np.bool_) for each in samples]
-        darker = [rest & (each < readable) for rest, each in zip(unread, samples, strict=True)]
+        samples = [_sample(plane) for plane in planes]
+        unread = unread or [np.ones(each.shape, np.bool_) for each in samples]
+        most = frame.black + readable
+        darker = [rest & (each < most) for rest, each in zip(unread, samples, strict=True)]
         longer = _longer(controls, setting, M / (2 * _READABLE_LEVELS))
         last = (
-            sum(int(each.sum()) for each in darker)
-            <= _UNREAD_SHARE * sum(each.size for each in samples)
+            sum(map(np.count_nonzero, darker)) <= _UNREAD_SHARE * sum(each.size for each in samples)
             or main[readable - 1] * scale <= lower_end
             or longer.exposure <= setting.exposure
         )
@@ -316,7 +328,8 @@ def light_histogram(source: MeteringFrames, metering: Metering, *, lower_end: fl
             found = np.zeros(M + 1)
             for colour, sample, rest, below in zip(colours, samples, unread, darker, strict=True):
                 if colour is real:
-                    found += np.bincount(sample[rest if last else rest & ~below], minlength=M + 1)
+                    used = rest if last else rest & ~below
+                    found += _level_counts(sample, frame.black, M, used)
             kept = found > 0
             # All irradiances between two levels have one brightness: its count is spread over
             # them, evenly in ln E.

@@ -49,6 +49,8 @@ _FAR = 0.1
 _WIDEST = math.log(2.0)
 #: Rounds of the fit: the tolerance changes by less than a tenth after these.
 _ROUNDS = 5
+#: Comparisons of two frames that are kept, 0.1 MB each.
+_MOST_KNOWN = 32
 
 _Floats = NDArray[np.float64]
 
@@ -105,6 +107,7 @@ class NeighbourCheck:
         self._layout = layout
         self._sigmas = significant_sigmas(pairs)
         self._samples: dict[int, FrameSample] = {}
+        self._known: dict[tuple[int, int, float], tuple[FrameSample, FrameSample, _Votes]] = {}
 
     def add(self, position: int, pixels: Pixels, noise: FrameNoise | None = None) -> FrameSample:
         """Keep a sample of the frame at `position` of the sequence, and return it."""
@@ -118,6 +121,7 @@ class NeighbourCheck:
     def clear(self) -> None:
         """Forget all frames."""
         self._samples.clear()
+        self._known.clear()
 
     def has(self, position: int) -> bool:
         """Return whether the frame at `position` and the one before it were added."""
@@ -210,7 +214,18 @@ class NeighbourCheck:
         )
 
     def _votes(self, short: FrameSample, long: FrameSample, ratio: float) -> _Votes:
-        """Return what the patches of two frames show of this ratio of their exposures."""
+        """Return what the patches of two frames show of this ratio of their exposures.
+
+        It is asked several times: when a frame arrives, for the delay, and for movement.
+        """
+        key = id(short.patches), id(long.patches), ratio
+        if key not in self._known:
+            if len(self._known) >= _MOST_KNOWN:
+                del self._known[next(iter(self._known))]
+            self._known[key] = short, long, self._counted(short, long, ratio)
+        return self._known[key][2]
+
+    def _counted(self, short: FrameSample, long: FrameSample, ratio: float) -> _Votes:
         sensor = self.scale
         # Means of patches have no shift as single samples have, whose noise goes with their light.
         mean = sensor.expected(ratio, short.noise, long.noise)

@@ -37,8 +37,9 @@ _STEPS = 32
 #: Cells of the map of movement along the longer side of a picture, at most, and the least side of
 #: one, pixels.
 _MAP_SIDE, _LEAST_CELL = 160, 8
-#: Samples that are compared at a time: their residuals in float32 fit a cache of 2 MB.
-STRIP_SAMPLES = 1 << 18
+#: Samples that are compared at a time: their residuals, 2 bytes each, fit a cache of 2 MB.  With
+#: half of them a tenth of the rows would be compared twice, as those around others.
+STRIP_SAMPLES = 1 << 19
 
 Area = tuple[slice, slice]
 """Rows and columns of a part of a frame."""
@@ -77,6 +78,7 @@ class Marks:
         self.spilled = np.zeros_like(self.marks)
         self.compared = 0.0
         self._pairs = pairs
+        self._step = max(1, STRIP_SAMPLES // (columns * channels * self.cell)) * self.cell
 
     def compare(self, rows: FrameRows) -> None:
         """Compare the frames: one is in memory at a time, or two between which light spread."""
@@ -108,9 +110,11 @@ class Marks:
         first, is_processed = self._pairs[0], self._pairs[0].is_processed
 
         def load(position: int) -> tuple[Lines, Ranges | None]:
+            if not is_processed:
+                return Lines.of(self.shape, partial(rows, position), 4 * self._step), None
             frame = rows(position, slice(0, self.shape[0]))
-            ranges = local_ranges(frame, first.sensor.white) if is_processed else None
-            return Lines.of(frame), ranges
+            ranges = local_ranges(frame, first.sensor.white)
+            return Lines.of(self.shape, frame.__getitem__, len(frame)), ranges
 
         positions = [first.short.position, *(pair.long.position for pair in self._pairs)]
         frames = in_threads(load, positions, 1)
@@ -121,8 +125,7 @@ class Marks:
 
     def _strips(self) -> list[Area]:
         """Return the parts that are compared at a time, as rows and columns."""
-        rows, columns, channels = (*self.shape, 1)[:3]
-        step = max(1, STRIP_SAMPLES // (columns * channels * self.cell)) * self.cell
+        (rows, columns), step = self.shape[:2], self._step
         return [(slice(top, top + step), slice(0, columns)) for top in range(0, rows, step)]
 
     def _parts(self) -> list[Area]:

@@ -73,10 +73,16 @@ class Lines:
     every: tuple[int, int]
 
     @classmethod
-    def of(cls, frame: Pixels) -> Lines:
-        """Take them from a frame."""
-        down, across = (-(-length // _MOST_LINES) for length in frame.shape[:2])
-        return cls(frame[:, ::across].copy(), frame[::down].copy(), (across, down))
+    def of(cls, shape: tuple[int, ...], rows: Callable[[slice], Pixels], step: int) -> Lines:
+        """Take them from a frame of that shape; `rows` returns rows, about `step` at a time."""
+        down, across = (-(-length // _MOST_LINES) for length in shape[:2])
+        step = max(1, step // down) * down
+        taken = []
+        for top in range(0, shape[0], step):
+            part = rows(slice(top, top + step))
+            taken.append((part[:, ::across].copy(), part[::down].copy()))
+        on_columns, on_rows = (np.concatenate(each) for each in zip(*taken, strict=True))
+        return cls(on_columns, on_rows, (across, down))
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ from camctl.system.input_files import check_regular, read_own_file
 from camctl.system.interrupts import uninterrupted
 from camctl.system.library_output import quiet_libraries
 from camctl.system.memory import return_free_memory
-from camctl.system.picture_operations import opencv, png
+from camctl.system.picture_operations import looked_up, opencv, png
 from camctl.system.threads import THREADS, Threads, in_threads
 
 #: Several threads compress the radiance of a picture of at least so many pixels.
@@ -63,8 +63,8 @@ PICTURE_FILES = {
 _LARGEST_PREVIEW = 4 * PREVIEW_SIDE**2
 
 _MASK_PREFIX, _DEVIATION_PREFIX = "mask.", "sd."
-#: The values of a mask in float16.
-_MASKS = np.arange(256).astype(np.float16)
+#: The values of a mask in float16, as their bits.
+_MASKS = np.arange(256).astype(np.float16).view(np.uint16)
 _LIBRARIES = ("OpenEXR", "tifffile")
 """Modules that write pictures; the packages that hold them have the same names."""
 _SHOOT_AGAIN = "shoot the capture again"
@@ -358,7 +358,7 @@ class _RadianceFile:
         ):
             found[name] = self._light(light)
             found[_DEVIATION_PREFIX + name] = self._deviation(deviation)
-            found[_MASK_PREFIX + name] = _MASKS.take(mask)
+            found[_MASK_PREFIX + name] = looked_up(_MASKS, mask).view(np.float16)
         return found
 
     def write(self, channels: dict[str, NDArray[Any]]) -> None:

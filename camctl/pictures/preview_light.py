@@ -160,6 +160,8 @@ class LightReducer:
 
 def _counts(flags: list[NDArray[np.bool_]]) -> NDArray[np.uint8]:
     """Return in how many channels each pixel has a flag."""
+    if len(flags) == 1:
+        return flags[0].view(np.uint8)
     return np.asarray(sum(flag.view(np.uint8) for flag in flags), np.uint8)
 
 

@@ -41,6 +41,7 @@ from camctl.pictures.mosaic import (
 from camctl.system.picture_operations import (
     channels_apart,
     channels_together,
+    looked_up,
     plane_by_plane,
 )
 
@@ -421,19 +422,16 @@ class Rendering:
             return self._mosaic_values(name, sums)
         planes = channels_apart(sums)
         tables = [getattr(each, name) for each in self.tables]
-        found = np.empty((len(planes), *planes[0].shape), tables[0].dtype)
         if len(tables) == 1:
             tables *= len(planes)
-        for table, plane, values in zip(tables, planes, found, strict=True):
-            # No sum is outside of the table, and so it takes a third less than with a check.
-            table.take(plane, out=values, mode="clip")
-        return found[0] if sums.ndim == 2 else np.moveaxis(found, 0, 2)
+        found = [looked_up(*each) for each in zip(tables, planes, strict=True)]
+        return found[0] if sums.ndim == 2 else np.moveaxis(np.stack(found), 0, 2)
 
     def _mosaic_values(self, name: str, sums: NDArray[np.unsignedinteger]) -> NDArray[Any]:
         """Return the values of a table for sums of a mosaic, which begin at an even row."""
         tables = [getattr(each, name) for each in self.tables]
         if len(tables) == 1:
-            return np.asarray(tables[0].take(sums))
+            return looked_up(tables[0], sums)
         found = np.empty(sums.shape, tables[0].dtype)
         colours = self.layout.value.upper()
         planes = zip(colours, self.layout.planes(found), self.layout.planes(sums), strict=True)

@@ -11,10 +11,11 @@ import hashlib
 import io
 import math
 import os
+import stat
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +52,7 @@ class CaptureFolder:
 
     directory: Path
 
-    @property
+    @cached_property
     def frames(self) -> Path:
         """The folder of the frames."""
         return self.directory / FRAMES
@@ -172,7 +173,11 @@ class CaptureFolder:
 
     def check_frames_folder(self) -> None:
         """Raise `StorageError` where frames/ leads elsewhere."""
-        if self.frames.is_symlink() or (self.frames.exists() and not self.frames.is_dir()):
+        try:
+            mode = self.frames.lstat().st_mode
+        except (FileNotFoundError, NotADirectoryError):
+            return
+        if not stat.S_ISDIR(mode):
             raise StorageError(
                 f"{self.frames} is a link or a file, not a folder",
                 hint="choose another folder, or put a folder in its place",

@@ -177,8 +177,23 @@ def test_values_of_a_table(kind: type, shape: tuple[int, ...], levels: int) -> N
     rng = np.random.default_rng(0)
     table: np.ndarray = rng.integers(0, 100, levels).astype(kind)
     samples = rng.integers(0, min(levels, 256), shape).astype(np.uint8)
+    check_values(table, samples)
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.int16, np.float32])
+@pytest.mark.parametrize("shape", [(5, 3), (600, 500), (500, 300, 3)])
+@pytest.mark.parametrize("levels", [4000, 65536])
+def test_values_of_a_wide_table(kind: type, shape: tuple[int, ...], levels: int) -> None:
+    rng = np.random.default_rng(0)
+    table: np.ndarray = rng.integers(0, 100, levels).astype(kind)
+    samples = rng.integers(0, levels, shape).astype(np.uint16)
+    check_values(table, samples)
+    check_values(table, samples[::2, ::2])
+
+
+def check_values(table: NDArray[Any], samples: NDArray[Any]) -> None:
     for found in both(lambda: operations.looked_up(table, samples)):
-        assert found.dtype == kind
+        assert found.dtype == table.dtype
         assert (found == table[samples]).all()
 
 
