@@ -72,9 +72,12 @@ def ascending(
         lack = least[active] - conditions @ free
         multipliers = np.zeros(lack.size)
         for _ in range(200):
+            before = multipliers.copy()
             for k in range(lack.size):
                 step = (lack[k] - gram[k] @ multipliers) / gram[k, k]
                 multipliers[k] = max(0.0, multipliers[k] + step)
+            if np.array_equal(multipliers, before):
+                break
         found = free + effect @ multipliers
     # What the iteration leaves is removed with certainty: h = 0 ascends with slope 1.
     rise, most = rises @ found, (1 - _LEAST_SLOPE / 2) * np.diff(base)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from camctl.interface.camera import Pixels
 from camctl.model.light import Floats32
 from camctl.pictures.single_light import SingleLight, least_light
+from camctl.system.picture_operations import looked_up
 
 #: Cells have 4 x 4 parts, of 2 x 2 pixels at least, in which a frame is compared with all frames.
 COMPARED = 4
@@ -104,6 +105,7 @@ class GhostPlaces:
     lights: tuple[SingleLight, ...]
     rest: Floats32
     shares: dict[int, tuple[Floats32, Floats32]]
+    _seen: dict[int, tuple[Floats32, Floats32]] = field(default_factory=dict, init=False)
 
     def show(
         self,
@@ -133,15 +135,13 @@ class GhostPlaces:
         relative = _times(self.rest.reshape(shape), np.asarray(error_before / before))
         for frame, (weight, certainty) in self.shares.items():
             share = weight.reshape(shape)
-            single, error = self._of_frame(frame, frames[frame])
-            single *= np.float32(scale)
-            np.maximum(single, least, out=single)
+            alone, error = self._of_frame(frame, frames[frame])
+            single = np.maximum(alone * np.float32(scale), least)
             brighter = np.isinf(error) & (before > single)
             single[brighter] = before[brighter]
             found += share * certainty.reshape(shape) * (np.log(single) - logarithm)
             if deviation is not None:
-                error *= np.float32(scale)
-                error[brighter] = error_before[brighter]
+                error = np.where(brighter, error_before, error * np.float32(scale))
                 relative += _times(share, error / single)
         light[places] = shown = np.exp(found)
         if deviation is not None:
@@ -149,12 +149,15 @@ class GhostPlaces:
 
     def _of_frame(self, frame: int, pixels: Pixels) -> tuple[Floats32, Floats32]:
         """Return the light of a frame and its deviation, (N,) or (N, channels)."""
+        if frame in self._seen:  # the image shows the same pixels as the light
+            return self._seen[frame]
         size = (self.places[0].size, *pixels.shape[2:])
         light, deviation = np.empty(size, np.float32), np.empty(size, np.float32)
         for single, chosen, values in _parts_at(self.lights, pixels, self.places, self.first):
-            clipped = np.minimum(values, single.irradiance.shape[1] - 1)
-            light[chosen] = single.irradiance[frame].take(clipped)
-            deviation[chosen] = single.deviation[frame].take(clipped)
+            clipped = np.minimum(values, values.dtype.type(single.irradiance.shape[1] - 1))
+            light[chosen] = looked_up(single.irradiance[frame], clipped)
+            deviation[chosen] = looked_up(single.deviation[frame], clipped)
+        self._seen[frame] = light, deviation
         return light, deviation
 
 
