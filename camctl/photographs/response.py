@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from camctl.calibration.response.colours import NUMBERS, PatchRatios, grey_scales, score
 from camctl.calibration.response.estimate import estimate_response
+from camctl.calibration.response.histogram_ratios import HistogramRatios
 from camctl.errors import DataError
 from camctl.findings import Detail, Finding
 from camctl.interface.colour import CameraColour
@@ -88,7 +89,8 @@ def known_controls(
         unclear = Finding(code="profile_unclear", details=details, remedies={"curve": None})
         notes.append(unclear)
     standards = _standards(controls)
-    ratios, error = PatchRatios.of(series), _EXACT if are_exact else _SHUTTER
+    patches, error = PatchRatios.of(series), _EXACT if are_exact else _SHUTTER
+    ratios = patches if patches.has_cells else HistogramRatios.of(series)
 
     def score_of(known: ExposureControls, numbers: int) -> float:
         return score(*ratios.misfit(_lights(series, known), series.exposures, error), numbers)
@@ -99,7 +101,7 @@ def known_controls(
     try:
         estimate = estimate_response(series, is_scene_checked=False, exposure_error=error)
     except DataError as problem:
-        if ratios.pairs and scores[best] == 0:
+        if patches.has_cells and scores[best] == 0:
             return standard, _FITTING.format(best[0])
         why: dict[str, Detail] = {"why": problem.what}
         notes.append(Finding(code="response_unknown", details=why, remedies={"curve": None}))

@@ -16,6 +16,7 @@ from sampling import some
 from camctl import CaptureRequest, DataError, PhotographOptions
 from camctl.findings import Finding
 from camctl.messages.plain import sentence
+from camctl.model.response.camera import srgb_to_linear
 from camctl.photographs.merge import plan_merge
 from camctl.photographs.photograph_set import open_photographs
 
@@ -122,6 +123,28 @@ def test_all_wrong_labels_are_named_also_those_that_turn_the_order(opened: Opene
         ("label_wrong", (6,)),
     }
     assert len(found.camera.photographs) == 8
+
+
+def steep(pixels: NDArray[Any]) -> NDArray[Any]:
+    """Return photographs of a camera whose range is 1:6, of sRGB ones."""
+    linear = srgb_to_linear(np.arange(256) / 255)
+    table = np.clip(1 + np.log(np.maximum(linear, 1e-3)) / np.log(6), 0, 1)
+    return np.asarray(np.rint(255 * table).astype(np.uint8)[pixels])
+
+
+def test_histograms_choose_the_response_where_no_patch_is_in_two_photographs(
+    opened: Opened,
+) -> None:
+    """With nothing compared all explain the same: one that is wrong by e^2 was said to fit."""
+    change = lambda _, pixels: steep(pixels)  # noqa: E731
+    found = opened(
+        FEW, curve=None, options={"labels": "exact"}, change=change, scene=light(480, 640)
+    )
+    assert found.response.startswith("estimated from the photographs")
+    levels = found.camera.controls.levels.levels
+    places = np.linspace(0.1, 0.9, 9)
+    errors = np.log(levels[np.rint(places * 254).astype(int)]) - (places - 1) * np.log(6)
+    assert np.std(errors) < 0.1
 
 
 def test_numbers_are_exact_and_fractions_are_labels_of_a_dial(opened: Opened) -> None:

@@ -24,9 +24,13 @@ from camctl.model.response.camera import FloatArray
 
 #: Levels of a cell, of 256, fewest patches in one, and most of a pair of frames that are compared.
 _CELL, _FEWEST, _MOST = 16, 6, 500
-#: Error that the patches of a cell share: levels of 255 in each frame, 1 / sqrt(12) for rounding as
-#: JPEG does; and relative, as of a linear sensor (EMVA 1288).
-_SHARED_LEVELS, _SHARED = 0.3, 0.005
+SHARED_LEVELS = 0.3
+"""Error that patches of one brightness share, levels of 255 in each frame: 1 / sqrt(12) for
+rounding as JPEG does."""
+
+SHARED = 0.005
+"""The same relative, as of a linear sensor (EMVA 1288)."""
+
 #: Neighbouring cells share errors: so many count as one.
 _ALIKE = 2.0
 #: Numbers that describe an estimated curve: components of EMoR (Grossberg and Nayar, 2004) from
@@ -49,6 +53,11 @@ class PatchRatios:
 
     pairs: tuple[tuple[int, Neighbours], ...]
     unit: float
+
+    @property
+    def has_cells(self) -> bool:
+        """Whether enough patches are in a cell to compare responses by."""
+        return any(np.bincount(self._cell(pair)).max() >= _FEWEST for _, pair in self.pairs)
 
     @classmethod
     def of(cls, series: Series) -> PatchRatios:
@@ -82,12 +91,7 @@ class PatchRatios:
             if not means:
                 continue
             residuals = np.array(means) - math.log(exposures[long] / exposures[short])
-            weights = np.array(errors) ** -2.0
-            square = float(weights @ residuals**2)
-            if exposure_error > 0:  # what the exposures may be wrong by
-                common = float(weights @ residuals)
-                square -= common**2 / (float(weights.sum()) + exposure_error**-2 / 2)
-            total += square
+            total += square_of(residuals, np.array(errors), exposure_error)
             cells += len(means)
         return total, cells
 
@@ -97,9 +101,9 @@ class PatchRatios:
         logs = np.log(found[1] / found[0])
         level = pair.levels.mean(axis=2)
         slope = np.gradient(np.log(np.maximum(light, 1e-12)))
-        block = self.unit * _SHARED_LEVELS
+        block = self.unit * SHARED_LEVELS
         shared = np.hypot(*(block * slope[np.rint(each).astype(np.intp)] for each in level))
-        cell = (level[1] / (self.unit * _CELL)).astype(np.intp)
+        cell = self._cell(pair)
         means, errors = [], []
         for place in np.flatnonzero(np.bincount(cell) >= _FEWEST).tolist():
             use = cell == place
@@ -108,8 +112,25 @@ class PatchRatios:
             scatter = 1.48 * median(np.abs(here - mean))
             error = math.hypot(1.25 * scatter / math.sqrt(here.size), median(shared[use]))
             means.append(mean)
-            errors.append(math.hypot(error, _SHARED))
+            errors.append(math.hypot(error, SHARED))
         return means, errors
+
+    def _cell(self, pair: Neighbours) -> NDArray[np.intp]:
+        """Return the cell of each patch, by its brightness in the longer frame."""
+        return np.asarray((pair.levels[1].mean(axis=1) / (self.unit * _CELL)).astype(np.intp))
+
+
+def square_of(residuals: FloatArray, errors: FloatArray, exposure_error: float) -> float:
+    """Return the sum of squared normalised errors of ratios of light of two frames.
+
+    `exposure_error` is the standard deviation of the logarithm of each exposure.
+    """
+    weights = errors**-2.0
+    square = float(weights @ residuals**2)
+    if exposure_error > 0:
+        common = float(weights @ residuals)
+        square -= common**2 / (float(weights.sum()) + exposure_error**-2 / 2)
+    return square
 
 
 def score(misfit: float, cells: int, numbers: int) -> float:

@@ -41,8 +41,9 @@ from camctl.calibration.response.fit import (
     ResponseFit,
     fit_response,
 )
+from camctl.calibration.response.histogram_ratios import series_matches
 from camctl.calibration.response.labels import LabelCheck, check_labels
-from camctl.calibration.response.matches import LEAST_PIXELS, Matches, all_matches, match_levels
+from camctl.calibration.response.matches import LEAST_PIXELS, Matches, all_matches
 from camctl.calibration.response.noise import correct_matches
 from camctl.calibration.response.series import Series
 from camctl.calibration.response.spill import spills_over
@@ -313,7 +314,7 @@ class _Evidence:
     @classmethod
     def of(cls, series: Series, name: str, chart: Chart | None) -> _Evidence:
         """Return the evidence of a channel."""
-        matches = _matches(series, name)
+        matches = series_matches(series, name)
         samples = None
         if chart is not None:
             samples = chart_samples(chart.frames, series, chart.patches, name)
@@ -335,7 +336,7 @@ class _Evidence:
 
     def without_spill(self) -> _Evidence:
         """Return the evidence without samples near saturated ones."""
-        matches = _matches(self.series, self.name, spill=False)
+        matches = series_matches(self.series, self.name, spill=False)
         # Above, the noise of samples decides which ones are near saturation.
         below = matches.high <= self.series.highest - self.series.black
         return replace(self, matches=matches.part(below))
@@ -368,15 +369,6 @@ class _Evidence:
             deviation=(deviation[0], *deviation, deviation[-1]),
             measured=tuple(measured.tolist()),
         )
-
-
-def _matches(series: Series, name: str, *, spill: bool = True) -> Matches:
-    edges = series.edges
-
-    def counts(*pair: int) -> NDArray[np.int64]:
-        return series.counts_of_pair(name, series.black + edges, (pair[0], pair[1]), spill=spill)
-
-    return match_levels(counts, series.exposures, edges)
 
 
 def _left_out(what: str, share: float | None = None) -> Finding:
