@@ -88,7 +88,7 @@ def _add_noise(
 
 
 _CELL, _FIRST, _PART = np.uint64(CELL_SHIFT), np.uint64(FIRST_PLACE), np.uint64(PART_SHIFT)
-_LOW_MEAN, _ROWS, _UNSURE = np.float32(LEAST_EXPANDED), np.float32(GUIDE_STEPS), np.uint8(UNSURE)
+_GUIDED, _ROWS, _UNSURE = np.float32(LARGEST_CHECKED), np.float32(GUIDE_STEPS), np.uint8(UNSURE)
 _UNIT, _HALF = 2.0**-32, np.uint32(2**31 - 1)
 _GUIDE_SHIFT = np.uint32(32 - (GUIDE_CELLS.bit_length() - 1))
 _PART_MASK, _PART_UNIT = np.uint64((1 << PART_BITS) - 1), 2.0**-PART_BITS
@@ -121,7 +121,7 @@ def _draw(coarse: NDArray[np.uint64], fine: NDArray[np.uint64], bits: Bits) -> N
 
 
 def _look_up(bits: Bits, counts: NDArray[np.uint8], means: Light, left: NDArray[np.int64]) -> int:
-    """Replace low means at the places `left` by their Poisson quantiles where the guide gives them.
+    """Replace means at the places `left` by their Poisson quantiles where the guide gives them.
 
     Returns:
         how many are not replaced; their places are the first of `left`
@@ -130,7 +130,7 @@ def _look_up(bits: Bits, counts: NDArray[np.uint8], means: Light, left: NDArray[
     for j in range(left.size):
         i = left[j]
         count = _UNSURE
-        if means[i] < _LOW_MEAN:
+        if means[i] < _GUIDED:
             row = np.uint64(np.int32(means[i] * _ROWS))
             count = counts[row, np.uint64(bits[i] >> _GUIDE_SHIFT)]
         left[found] = i

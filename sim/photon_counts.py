@@ -40,10 +40,8 @@ FIRST_PLACE = (1023 - 33) << (52 - CELL_SHIFT)  # cell of 2^-33, the middle of t
 STEPS = 16  # a table of the exponential function has this number of entries for each 1
 EXPONENTIAL = tuple((-1) ** k / math.factorial(k) for k in range(8))  # within 1e-16 up to 1 / 32
 EXPANSION = (1 / 3, 1 / 6, 1 / 36, 1 / 72, -8 / 405, 7 / 810, 1 / 270)  # Giles, see below
-GUIDE_STEPS, GUIDE_CELLS = (
-    64,
-    1024,
-)  # cells of the guide for each electron, and of the uniform number
+GUIDE_STEPS = 32  # cells of the guide for each electron: 0.8 MB, which fits a cache of 1 MB
+GUIDE_CELLS = 1024  # and those of the uniform number
 UNSURE = 255  # in the guide: the cell holds several counts
 _GUIDE_MARGIN = 1e-12  # more than the rounding of probabilities that are added up
 _BLOCK = 1 << 13  # samples at a time, so that the working arrays stay in the cache
@@ -71,13 +69,13 @@ def tables() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float
 
 @lru_cache(maxsize=1)
 def guide() -> NDArray[np.uint8]:
-    """Return the counts of means below `LEAST_EXPANDED` by cells of mean and uniform number.
+    """Return the counts of means below `LARGEST_CHECKED` by cells of mean and uniform number.
 
-    (512, 1024) uint8.  A count does not decrease with either of them, so that a cell has one count
-    if its corners have the same; 3 % have not, and are `UNSURE`.
+    (768, 1024) uint8.  A count does not decrease with either of them, so that a cell has one count
+    if its corners have the same; 5 % have not, and are `UNSURE`.
     """
-    means = np.arange(LEAST_EXPANDED * GUIDE_STEPS + 1) / GUIDE_STEPS
-    counts = np.arange(64)  # a mean of 8 exceeds 64 with a probability of 1e-35
+    means = np.arange(LARGEST_CHECKED * GUIDE_STEPS + 1) / GUIDE_STEPS
+    counts = np.arange(MOST_COUNTED)
     factorials = np.array([math.lgamma(k + 1) for k in counts])
     with np.errstate(divide="ignore", invalid="ignore"):
         terms = np.exp(np.log(means)[:, None] * counts - means[:, None] - factorials)

@@ -78,6 +78,18 @@ def test_photon_counts_are_the_same_for_every_mean(size: int) -> None:
     assert np.array_equal(drawn[0], drawn[1])
 
 
+@pytest.mark.parametrize("most", [4, 20, 40, 200])
+def test_photon_counts_are_the_same_for_light_of_any_range(most: float) -> None:
+    """Where most means are low all are looked up first, else they are expanded first."""
+    pytest.importorskip("numba")
+    drawn: list[NDArray[np.float32]] = []
+    for noise in (TileNoise(), TileNoise(load())):
+        electrons = np.linspace(0, most, 1 << 15, dtype=np.float32)
+        noise.count_photons(electrons, 5, 6, 7)
+        drawn.append(electrons)
+    assert np.array_equal(drawn[0], drawn[1])
+
+
 def test_the_functions_are_loaded_after_many_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     loaded: list[str] = []
     monkeypatch.setattr("camctl.sim.compiled.load", lambda: loaded.append("yes"))
