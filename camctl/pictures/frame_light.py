@@ -160,23 +160,40 @@ class FrameLight:
             total: sum of the frames, clipped at white
         """
         clipped = [plane_by_plane(each) for each in self._clipped(frames)]
-        both: list[Floats32] = []
-        for (part, _), memory in zip(self.parts, self._memories(), strict=True):
-            *values, sums = (np.ravel(part.view(each)) for each in (*clipped, total))
-            found = memory.of(values, sums)
-            if len(self.parts) == 1:  # all samples
-                both = [each.reshape(total.shape) for each in found]
-                break
-            both = both or [_planes(total.shape) for _ in range(2)]
-            for whole, each in zip(both, found, strict=True):
-                view = part.view(whole)
-                view[...] = each.reshape(view.shape)
-        irradiance, deviation = both
+        irradiance, deviation = self._by_sample(clipped, total)
         if self.chroma:
             share_chroma_errors(clipped, self.chroma, self.details, irradiance, deviation)
         irradiance *= np.float32(1 / self.unit)
         deviation *= np.float32(1 / self.unit)
         return irradiance, deviation
+
+    def by_sample(
+        self, frames: Sequence[NDArray[Any]], total: NDArray[np.unsignedinteger]
+    ) -> Floats32:
+        """Return the irradiance that each sample of any part of the frames shows by itself.
+
+        Errors of colours, which those around it show, are left out.
+        """
+        clipped = [plane_by_plane(each) for each in self._clipped(frames)]
+        irradiance, _ = self._by_sample(clipped, total)
+        irradiance *= np.float32(1 / self.unit)
+        return irradiance
+
+    def _by_sample(
+        self, clipped: Sequence[NDArray[Any]], total: NDArray[np.unsignedinteger]
+    ) -> tuple[Floats32, Floats32]:
+        """Return irradiance at exposure 1, and its deviation, of frames that are clipped."""
+        both: list[Floats32] = []
+        for (part, _), memory in zip(self.parts, self._memories(), strict=True):
+            *values, sums = (np.ravel(part.view(each)) for each in (*clipped, total))
+            found = memory.of(values, sums)
+            if len(self.parts) == 1:  # all samples
+                return found[0].reshape(total.shape), found[1].reshape(total.shape)
+            both = both or [_planes(total.shape) for _ in range(2)]
+            for whole, each in zip(both, found, strict=True):
+                view = part.view(whole)
+                view[...] = each.reshape(view.shape)
+        return both[0], both[1]
 
     def _memories(self) -> list[LightMemory]:
         """Return what estimates the light of each part in this thread."""

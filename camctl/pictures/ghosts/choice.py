@@ -109,7 +109,7 @@ def _measured(
             rows = slice(row * cell, min((row + 2) * cell, len(total)))
             across = slice(first * cell, min(last * cell, total.shape[1]))
             values = [plane_by_plane(frames(place, rows)[:, across]) for place in range(count)]
-            all_frames, _ = light.rows(values, total[rows, across])
+            all_frames = light.by_sample(values, total[rows, across])
             together = np.log(np.maximum(all_frames, np.float32(least_light(lights))))
             here = slice(row, row + 2), slice(first, last)
             finer = [slice(each.start * COMPARED, each.stop * COMPARED) for each in here]
