@@ -18,27 +18,25 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.evidence.patch_errors import LEAST_PATCHES
 from camctl.evidence.patches import Patches, deviating_patches
 from camctl.findings import Finding
 from camctl.model.sensor import JPEG_ERROR
 
-#: Brightness from which on a sample of a photograph may be saturated, and up to which it may be
-#: black, as shares of full scale.
-_SATURATED, _BLACK = 1 - JPEG_ERROR, 0.01
+#: Brightness up to which a sample of a photograph may be black, as a share of full scale.
+_BLACK = 0.01
 #: Samples on each side of a square that is averaged, against noise.
 _POOLED = 2
-#: Standard deviation of the brightness within a patch that is structure, share of full scale, and
-#: how many patches must have it.
-_STRUCTURE, _FEWEST = 4 / 255, 20
+#: Standard deviation of the brightness within a patch that is structure, share of full scale.
+_STRUCTURE = 4 / 255
 #: Two photographs show the same if the median correlation of their patches is at least this.
 _SAME = 0.9
-#: They show different views if it is less than the first number and not even a quarter of them have
-#: the second one: three quarters may have moved.
-_OTHER, _BEST_OF_OTHER = 0.6, 0.75
-#: A photograph is less sharp if three quarters of its patches have less contrast than this share of
-#: that of a brighter one, or a darker one has more than the second share of its contrast in half of
-#: them, and more than the third one in three quarters.
-_LESS_SHARP, _SHARPER, _AS_SHARP = 0.8, 1.15, 0.9
+#: They show different views if not even a quarter of them have this one: three quarters may have
+#: moved.
+_BEST_OF_OTHER = 0.75
+#: A photograph is less sharp if a brighter one has this factor of its contrast in three quarters of
+#: their patches, or a darker one in half of them.
+_SHARPER = 1.15
 #: Where much is blurred, brightness deviates, too, but not even a quarter of the patches has the
 #: first correlation with a brighter photograph, or the second one with a darker one, whose noise
 #: makes it small: patches that no moving thing covers have it.
@@ -80,18 +78,17 @@ class Likeness(NamedTuple):
     @property
     def is_other(self) -> bool:
         """Whether they show different structure."""
-        return self.correlation < _OTHER and self.best < _BEST_OF_OTHER
+        return self.best < _BEST_OF_OTHER
 
     @property
     def is_darker_less_sharp(self) -> bool:
         """Whether the darker one has less contrast all over it."""
-        return self.contrast[2] < _LESS_SHARP and self.deviating < _DEVIATING
+        return self.contrast[2] < 1 / _SHARPER and self.deviating < _DEVIATING
 
     @property
     def is_brighter_less_sharp(self) -> bool:
         """Whether the brighter one has less contrast all over it."""
-        is_less_sharp = self.contrast[1] > _SHARPER and self.contrast[0] > _AS_SHARP
-        return is_less_sharp and self.deviating < _DEVIATING
+        return self.contrast[1] > _SHARPER and self.deviating < _DEVIATING
 
 
 Likenesses = dict[tuple[int, int], Likeness]
@@ -175,7 +172,7 @@ def _is_less_sharp(k: int, against: Likenesses) -> bool:
     darker = [each for pair, each in against.items() if pair[1] == k]
     return (
         bool(brighter)
-        and all(each.contrast[2] < _LESS_SHARP for each in brighter)
+        and all(each.contrast[2] < 1 / _SHARPER for each in brighter)
         and all(each.best < _BEST_WITH_BRIGHTER for each in brighter)
         and all(each.best < _BEST_WITH_DARKER for each in darker)
         and all(each.contrast[0] > 0 for each in against.values())
@@ -201,12 +198,12 @@ def _likeness(compared: _Floats, deviations: Callable[[], tuple[float, float]]) 
         deviations: returns the shares of what deviates in brightness, and of what does not
     """
     correlations, contrasts = compared
-    if correlations.size < _FEWEST:
+    if correlations.size < LEAST_PATCHES:
         return None
     correlation, best = np.quantile(correlations, (0.5, 0.75)).tolist()
     low, middle, high = np.quantile(contrasts, (0.25, 0.5, 0.75)).tolist()
     alike = Likeness(correlation, best, (low, middle, high), 0.0, 1.0)
-    if alike.is_same and high >= _LESS_SHARP:
+    if alike.is_same and high >= 1 / _SHARPER:
         return alike  # nothing is asked of the brightness of such a pair
     deviating, agreeing = deviations()
     return alike._replace(deviating=deviating, agreeing=agreeing)
@@ -218,7 +215,7 @@ def _deviations(
     """Return the shares of patches that deviate, and of parts of the picture where none does."""
     deviating = deviating_patches(dark, bright, colours, black, white)
     means = [each.mean(axis=1).reshape(colours, -1).mean(axis=0) for each in (dark, bright)]
-    seen = (means[0] > black + _BLACK * (white - black)) & (means[1] < _SATURATED * white)
+    seen = (means[0] > black + _BLACK * (white - black)) & (means[1] < (1 - JPEG_ERROR) * white)
     whole = seen.size - seen.size % _PART
     parts = [(each & seen)[:whole].reshape(-1, _PART).sum(axis=1) for each in (seen, deviating)]
     compared = parts[0] >= _OF_PART
@@ -250,7 +247,7 @@ class _Plane:
         return cls(
             patches,
             patches.min(axis=1) > _BLACK * white,
-            patches.max(axis=1) < _SATURATED * white,
+            patches.max(axis=1) < (1 - JPEG_ERROR) * white,
             _ranks(patches, white),
             _structure(patches),
         )
