@@ -37,8 +37,6 @@ BLACK_SHARE = 0.01
 #: Metering frames at most; each step changes the time by a factor of up to `LARGEST_STEP`.
 _MOST_FRAMES = 16
 LARGEST_STEP = 16.0
-#: Factor by which a saturated exposure is shortened while no unsaturated one is known.
-_SHORTENING = 8
 #: Shutter time of the first metering frame, s.
 _FIRST_S = 1 / 60
 #: Samples of a plane that are counted, at most.
@@ -55,9 +53,6 @@ _UNREAD_SHARE = 0.005
 #: Frames are compared whose exposures differ by this factor or more.  The pixels do not follow
 #: where their light changes by less than this power of it: an unknown gamma curve has 0.4.
 _COMPARED_FACTOR, _LEAST_POWER = 4.0, 0.25
-#: Share of the samples that must show it: a thing that moved does, and the centre of the sun, which
-#: stays as dark in any exposure where the reset level of the sensor has its light, too.
-_LEAST_COMPARED = 0.1
 #: Irradiances that stand for one brightness in a histogram.
 _SPREAD = 16
 
@@ -166,7 +161,7 @@ class MeteringFrames:
         measured = check.measured
         if (
             measured is None
-            or check.compared < _LEAST_COMPARED
+            or not check.is_certain
             or abs(math.log(measured)) > _LEAST_POWER * math.log(factor)
         ):
             return None
@@ -252,7 +247,7 @@ def meter(source: MeteringFrames, *, small_aperture: bool = False) -> Metering:
             if time_s <= shortest:
                 best = (setting, bright, clipped)
                 break
-            target_s = math.sqrt(below * above) if below else time_s / _SHORTENING
+            target_s = math.sqrt(below * above) if below else time_s / LARGEST_STEP
         else:
             below, best = time_s, (setting, bright, clipped)
             if bright >= _MEASURED_SHARE * levels.size or time_s >= longest:

@@ -20,12 +20,9 @@ SIGNIFICANCE = 0.01
 """Probability that noise alone makes a capture a finding of one kind, at most: it is divided over
 the tests of a capture (Bonferroni)."""
 
-#: Share of a picture that is most of it.
+#: Share that is most: of a picture, and of the compared samples that changed by one ratio where an
+#: exposure is wrong; with fewer, only parts of the picture disagree.
 _MOST = 0.5
-
-#: Share of the compared samples that may have changed by another ratio than most, for a wrong
-#: exposure; with more, only parts of the picture disagree.
-_MOST_MOVED = 0.5
 
 #: Relative depth of the flicker of sodium and fluorescent lamps.  They change the whole picture, as
 #: a wrong exposure does.
@@ -82,7 +79,7 @@ class RatioCheck(ReportModel):
     @property
     def is_one_ratio(self) -> bool:
         """Whether most of what was compared changed by one ratio, and it is not a small thing."""
-        return self.moved <= _MOST_MOVED and self.compared >= _SMALL_THING
+        return self.moved <= _MOST and self.compared >= _SMALL_THING
 
     @property
     def is_of_whole_picture(self) -> bool:
