@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from camctl.errors import CamctlError
 from camctl.exposure import accuracy
-from camctl.exposure.accurate import design, frame_sets, sets
+from camctl.exposure.accurate import design, frame_sets, gap_filling, least_quantisation, sets
 from camctl.exposure.search.front import Front
 from camctl.model import inverse
 from tests.bench.bench_front_adversary import CASES, front_of
@@ -42,6 +42,14 @@ CONSTANTS: list[tuple[ModuleType, str, tuple[float, ...]]] = [
     (sets, "MOST_SMOOTH", (1, 4)),
     (sets, "JUDGED_FRAMES", (1, 16, 64)),
     (sets, "MOST_POLISHED", (0, 100_000)),
+    (gap_filling, "EXCHANGED", (2, 5)),
+    (gap_filling, "RATED", (6, 24)),
+    (gap_filling, "STEPS", (3, 12)),
+    (gap_filling, "COARSE", (1, 6)),
+    (least_quantisation, "LONGER", (1, 20)),
+    (least_quantisation, "TRIED", (3, 6)),
+    (least_quantisation, "EXCHANGES", (6, 24)),
+    (least_quantisation, "MORE_EXCHANGES", (15, 60)),
 ]
 """Modules, names of their constants, and other values."""
 

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camctl.exposure.accurate.design import DesignSearch
 from camctl.exposure.accurate.frame_sets import Design
-from camctl.exposure.candidates import BatchScore
+from camctl.exposure.accurate.gap_filling import GapFilling, TimeLimit
 from camctl.exposure.exposure_choices import Shot, Shots
-from camctl.exposure.objective import ExposureProblem, Objective
-from camctl.exposure.random_sets import RandomSets
+from camctl.exposure.random_sets import RandomSets, interleave_step
 from camctl.exposure.settings_grid import SAME
 from camctl.model.response.camera import FloatArray, every_nth_level
 
@@ -25,25 +24,26 @@ STARTS, KEPT, MOVES, ROUNDS = 48, 8, 24, 24
 """Random sets, sets that are improved, changes of each, and rounds, at most; half as many sets and
 changes, and of the rounds, where the search is quick."""
 
-MOST_SORTED = 12_000_000
-"""Levels that are sorted for a number of exposures, at most: about 0.2 s."""
+MOST_SORTED = 600_000
+"""Levels that are sorted for a number of exposures, at most: about 10 ms."""
 
 COUNTS = (2, 3, 4, 6, 8, 11, 16)
 """Numbers of exposures that are tried first."""
 
-QUICK, TRIED, EVEN = 1 / 20, 2, 6
-"""Share of that work for each of them; numbers that are then searched at length; and starts of
-equal factors."""
+EVEN, BEST = 6, 2
+"""Starts of equal factors, and best sets that are kept."""
 
-MAX_LEVELS, QUICK_LEVELS = 511, 127
-"""Cameras of more levels (the second where the search is quick) are searched by every second,
-fourth, ... of them; the distances between levels that interleave are then reduced as much."""
+LONGER, TRIED, LAST = 6, 4, 2
+"""Factor on that work for the best numbers of exposures; how many these are; and how many of them
+are improved for long."""
 
-NEWTON_STEPS = 8
-"""Steps by which sets are scaled to a time: from a thousand times it to 1e-9 above it."""
+EXCHANGES, MORE_EXCHANGES = 12, 30
+"""Exchanges of exposures for each of these numbers, and more of them for the best ones."""
 
-BEST = 2
-"""Best sets that are returned."""
+MOST_LEVELS, QUICKER = 8192, 4
+"""Levels of all exposures together, at most, and what they are divided by where the search is
+quick: cameras of more are searched by every second, fourth, ... level, and the distances between
+levels that interleave are then reduced as much."""
 
 
 def least_quantisation(
@@ -67,86 +67,92 @@ def least_quantisation(
     """
     fewest, most = search.counts
 
-    def best(numbers: Iterable[int], share: float) -> list[_Found]:
+    def best(numbers: Iterable[int], *, quick: bool) -> list[_Found]:
         possible = [n for n in sorted(set(numbers)) if max(2, fewest) <= n <= most]
         shorter = [n for n in possible if search.least_time(n) <= limit * (1 + SAME)]
-        found = [_best_of(search, n, design, limit, share) for n in shorter]
-        return sorted(found, key=lambda each: each.error)[:TRIED]
+        found = [_best_of(search, n, design, limit, quick=quick) for n in shorter]
+        return sorted(found, key=lambda each: each.error)
 
-    found = best([min(max(n, fewest), most) for n in counts], QUICK)
-    if thorough:
-        found = best([each.n for each in found], 1.0)
-    return [shots for each in found for shots in each.sets]
+    found = best([min(max(n, fewest), most) for n in counts], quick=True)
+    if not thorough:
+        return [shots for each in found[:BEST] for shots in _shots(search, each, settles=False)]
+    found = [each.improved(EXCHANGES) for each in best([f.n for f in found[:TRIED]], quick=False)]
+    found.sort(key=lambda each: each.error)
+    found[:LAST] = [each.improved(MORE_EXCHANGES) for each in found[:LAST]]
+    return [shots for each in found for shots in _shots(search, each, settles=True)]
 
 
 @dataclass(frozen=True)
 class _Found:
-    """The best sets of n exposures, and the least error among them."""
+    """The best sets of as many exposures.
 
-    n: int
+    Attributes:
+        sets: natural logarithms of the exposures, (n,) each, the best first
+        error: sum of g^3 over the gaps of the best one, about that for all levels of the camera
+        finer: levels of the camera for each that was searched with
+        filling: what improves the sets
+    """
+
+    sets: tuple[FloatArray, ...]
     error: float
-    sets: list[Shots]
+    finer: int
+    filling: GapFilling
+
+    @property
+    def n(self) -> int:
+        """Number of exposures."""
+        return self.sets[0].size
+
+    def improved(self, exchanges: int) -> _Found:
+        """Return the best set after exchanges of exposures, and what it was before."""
+        row, error = self.filling.improved(self.sets[0], exchanges)
+        return replace(self, sets=(row, self.sets[0]), error=error / self.finer**2)
 
 
-def _best_of(search: DesignSearch, n: int, design: Design, limit: float, share: float) -> _Found:
-    """Return the best sets of n exposures; `share` is that of `MOST_SORTED`."""
+def _best_of(search: DesignSearch, n: int, design: Design, limit: float, *, quick: bool) -> _Found:
+    """Return the best sets of n exposures."""
+    most, part, rounds = MOST_LEVELS // n, 1.0, ROUNDS
+    if quick:
+        most, part, rounds = most // QUICKER, 0.5, ROUNDS // 2
     problem = search.problem
-    most, part, rounds = MAX_LEVELS, 1.0, ROUNDS
-    if share < 1:
-        most, part, rounds = QUICK_LEVELS, 0.5, ROUNDS // 2
-    finer = 2 ** max(0, math.ceil(math.log2((problem.response.M + 1) / (most + 1))))
+    finer = 2 ** max(0, math.ceil(math.log2((problem.response.M + 1) / most)))
     response = every_nth_level(problem.response, finer)
-    score = BatchScore(ExposureProblem(response, problem.desired, n, Objective(kind="levels")))
     reach = float(search.limits(np.zeros(1, dtype=np.intp))[1][0])
+    within = TimeLimit(limit, search.costs, search.base / float(search.gains[0]))
+    filling = GapFilling(response, problem.desired, within, reach, search.counts)
     moves = RandomSets(np.random.default_rng(0), n, response, reach)
     starts = np.concatenate([moves.starts(int(STARTS * part)), moves.even(EVEN)])
     if n == design.n:
         spread = moves.interleave * np.arange(n) * np.array([[0.0], [0.5], [1.0]])
         starts = np.concatenate([starts, design.log_exposure + spread])
-    sets = _in_time(search, moves.normalised(starts), limit)
-    scores = score(np.exp(sets))
-    evaluations = share * MOST_SORTED / (n * response.M)
+    sets = within.scaled(moves.normalised(starts))
+    errors = filling.errors(sets)
+    left = MOST_SORTED * (1 if quick else LONGER) // (n * response.M) - len(sets)
     for _ in range(rounds):
-        if score.evaluations > evaluations:
+        if left < 0:
             break
-        best = np.argsort(scores, kind="stable")[:KEPT]
+        best = np.argsort(errors, kind="stable")[:KEPT]
         changed = moves.around(sets[best], int(MOVES * part)).reshape(-1, n)
-        changed = _in_time(search, changed, limit)
+        changed = within.scaled(changed)
         sets = np.concatenate([sets[best], changed])
-        scores = np.concatenate([scores[best], score(np.exp(changed))])
-    found = sets[np.argsort(scores, kind="stable")[:BEST]]
-    if finer > 1:
-        steps = np.diff(found, axis=1, prepend=0.0)
-        reduced = np.where(steps < 4 * moves.interleave, steps / finer, steps).cumsum(axis=1)
-        found = np.concatenate([found, reduced])
+        errors = np.concatenate([errors[best], filling.errors(changed)])
+        left -= len(changed)
+    best = np.argsort(errors, kind="stable")[:BEST]
+    return _Found(tuple(sets[best]), float(errors[best[0]]) / finer**2, finer, filling)
+
+
+def _shots(search: DesignSearch, found: _Found, *, settles: bool) -> list[Shots]:
+    """Return the sets for all levels of the camera."""
+    sets = found.sets
+    if found.finer > 1:
+        step = interleave_step(found.filling.response)
+        steps = [np.diff(row, prepend=0.0) for row in sets]
+        reduced = (np.where(each < 4 * step, each / found.finer, each) for each in steps)
+        sets = (*sets, *(each.cumsum() for each in reduced))
+        if settles:
+            filling = replace(found.filling, response=search.problem.response)
+            sets = tuple(filling.settled(row)[0] for row in sets)
     gain = float(search.gains[0])
-    shots = (
-        tuple(Shot(e, e * search.base / gain, gain) for e in row) for row in np.exp(found).tolist()
-    )
-    costs = search.costs
-    fitting = [s for s in shots if costs.total([shot.time for shot in s]) <= limit * (1 + SAME)]
-    return _Found(n, float(scores.min()), fitting)
-
-
-def _in_time(search: DesignSearch, sets: FloatArray, limit: float) -> FloatArray:
-    """Return sets of ln(exposure), scaled towards 0 until they take `limit` at most."""
-    unit, costs = search.base / float(search.gains[0]), search.costs
-
-    def total(logs: FloatArray) -> FloatArray:
-        times = np.exp(logs) * unit
-        return np.asarray(costs.each(times).sum(axis=1) - costs.saved(times[:, -1]))
-
-    over = np.flatnonzero(total(sets) > limit)
-    rows, factor = sets[over], np.ones(over.size)
-    # ln(time) is a convex function of the factor: Newton's steps approach its root from above.
-    for _ in range(NEWTON_STEPS):
-        scaled = rows * factor[:, np.newaxis]
-        times = np.exp(scaled) * unit
-        changes = np.where(times > costs.least, rows * times, 0.0)
-        slope = changes.sum(axis=1) * costs.factor - changes[:, -1] * costs.waiting
-        time = total(scaled)
-        excess = time * np.log(np.maximum(time / limit, 1.0))
-        factor = np.maximum(factor - excess / np.maximum(slope, 1e-300), 0.0)
-    found = sets.copy()
-    found[over] = rows * factor[:, np.newaxis]
-    return found
+    return [
+        tuple(Shot(e, e * search.base / gain, gain) for e in np.exp(row).tolist()) for row in sets
+    ]

@@ -1,0 +1,272 @@
+"""Improves sets for cameras without noise: exchanges exposures for those that fill gaps better.
+
+The mean square error of a set is proportional to the sum of g^3 over the gaps g in brightness u
+between its levels.  A level that divides a gap into a and g - a lowers the sum by 3 a g (g - a).
+Over ln E, the levels of an exposure e are those of the shortest one shifted by -ln e, so that what
+one more exposure would lower the sum by is, for all e at once, a cross-correlation: transforms
+compute it.  It takes no account of levels that divide the same gap; the best e are rated exactly.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from camctl.exposure.candidates import BatchScore
+from camctl.exposure.exposure_choices import TimeCosts
+from camctl.exposure.objective import ExposureProblem, Objective
+from camctl.exposure.settings_grid import SAME
+from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.model.response.desired import DesiredResponse
+
+EXCHANGED = 3
+"""Exposures that are exchanged at once, at most."""
+
+RATED = 12
+"""Exposures of those that fill the gaps best that are rated exactly."""
+
+NEAR = 1.03
+"""Factor on the least error up to which an exchanged set is settled."""
+
+STEPS = 6
+"""Steps of Newton's method for each such set."""
+
+COARSE, FEWEST = 3, 4096
+"""Step of the exposures that are compared, in mean gaps of ln E between the levels of a set near
+full scale; and how many values are transformed at least, which takes 20 us."""
+
+SCALINGS = 8
+"""Steps by which sets are scaled to a time: from a thousand times it to 1e-9 above it."""
+
+_FRAME_BITS = 6
+"""Lowest bits of a level that hold the number of its exposure: a relative change of 1e-14."""
+
+_RIDGE = 1e-6
+"""Share of the mean curvature that is added, so that exposures without levels in range stay."""
+
+
+@dataclass(frozen=True)
+class TimeLimit:
+    """The time that sets may take, without their fixed time.
+
+    Sets are natural logarithms of ascending exposures (B, n), relative to the shortest.
+
+    Attributes:
+        limit: longest time of a set
+        costs: what is counted as time
+        unit: shutter time of the shortest exposure
+    """
+
+    limit: float
+    costs: TimeCosts
+    unit: float
+
+    def total(self, sets: FloatArray) -> FloatArray:
+        """Return the time of each set, (B,)."""
+        times = np.exp(sets) * self.unit
+        return np.asarray(self.costs.each(times).sum(axis=1) - self.costs.saved(times[:, -1]))
+
+    def slopes(self, sets: FloatArray) -> FloatArray:
+        """Return the derivatives of the time by each ln(exposure), (B, n)."""
+        times = np.exp(sets) * self.unit
+        slopes = np.where(times > self.costs.least, times, 0.0)
+        slopes[:, -1] *= 1 - self.costs.waiting / self.costs.factor
+        return np.asarray(slopes * self.costs.factor)
+
+    def scaled(self, sets: FloatArray) -> FloatArray:
+        """Return the sets, scaled towards 0 until they take `limit` at most."""
+        over = np.flatnonzero(self.total(sets) > self.limit)
+        rows, factor = sets[over], np.ones(over.size)
+        # ln(time) is a convex function of the factor: Newton's steps approach its root from above.
+        for _ in range(SCALINGS):
+            scaled = rows * factor[:, np.newaxis]
+            time = self.total(scaled)
+            slope = (rows * self.slopes(scaled)).sum(axis=1)
+            excess = time * np.log(np.maximum(time / self.limit, 1.0))
+            factor = np.maximum(factor - excess / np.maximum(slope, 1e-300), 0.0)
+        found = sets.copy()
+        found[over] = rows * factor[:, np.newaxis]
+        return found
+
+
+@dataclass
+class GapFilling:
+    """Exchanges exposures of sets for a camera without noise.
+
+    Attributes:
+        response: of the camera
+        desired: the desired response
+        within: the time that sets may take
+        reach: largest ln(exposure)
+        counts: fewest and most exposures of a set
+    """
+
+    response: CameraResponse
+    desired: DesiredResponse
+    within: TimeLimit
+    reach: float
+    counts: tuple[int, int]
+    _scores: dict[int, BatchScore] = field(default_factory=dict, init=False)
+
+    def errors(self, sets: FloatArray) -> FloatArray:
+        """Return the sums of g^3 of sets (B, n), (B,)."""
+        n = sets.shape[1]
+        if n not in self._scores:
+            objective = Objective(kind="levels")
+            self._scores[n] = BatchScore(ExposureProblem(self.response, self.desired, n, objective))
+        return self._scores[n](np.exp(sets))
+
+    def improved(self, row: FloatArray, exchanges: int) -> tuple[FloatArray, float]:
+        """Return a set (n,) with exposures exchanged, possibly of another length, and its error."""
+        rng = np.random.default_rng(0)
+        places = _Places(self, row.size)
+        error = float(self.errors(row[np.newaxis])[0])
+        for _ in range(exchanges):
+            trial = self._exchanged(row, places, rng)
+            if trial is None or self.errors(trial[np.newaxis])[0] > NEAR * error:
+                continue
+            trial, found = self.settled(trial)
+            if found < error:
+                row, error = trial, found
+        return row, error
+
+    def _exchanged(
+        self, row: FloatArray, places: _Places, rng: np.random.Generator
+    ) -> FloatArray | None:
+        """Return a set with some exposures taken out and about as many put in; None: none fit."""
+        n, (fewest, most) = row.size, self.counts
+        first = int(rng.integers(1, n))
+        out = rng.permutation(np.arange(1, n)) if rng.random() < 0.5 else np.arange(first, n)
+        out = out[: int(rng.integers(1, EXCHANGED + 1))]
+        left = n - out.size
+        more = rng.choice([-1, 0, 0, 0, 1])
+        inserted = min(max(out.size + more, max(2, fewest) - left), most - left)
+        trial = np.delete(row, out)
+        for missing in range(inserted - 1, -1, -1):
+            trials = places.filled(trial, missing)
+            if not len(trials):
+                return None
+            best = int(np.argmin(self.errors(trials)))
+            other = int(rng.integers(len(trials)))
+            trial = trials[other if missing and rng.random() < 0.5 else best]
+        return trial
+
+    def settled(self, row: FloatArray) -> tuple[FloatArray, float]:
+        """Return a set (n,) after steps of Newton's method within the time, and its error."""
+        error, slope, curvature = self._derivatives(row)
+        length = 1.0
+        for _ in range(STEPS):
+            step = length * self._step(row, slope, curvature)
+            trial = np.clip(row + step, 0.0, self.reach)
+            trial = self.within.scaled(np.sort(trial)[np.newaxis])[0]
+            found, *derivatives = self._derivatives(trial)
+            if found < error:
+                row, error, (slope, curvature) = trial, found, derivatives
+                length = min(1.0, 1.5 * length)
+            else:
+                length /= 3
+        return row, error
+
+    def _step(self, row: FloatArray, slope: FloatArray, curvature: FloatArray) -> FloatArray:
+        """Return Newton's step; the shortest exposure stays, and so does a time at its limit."""
+        n = row.size
+        scale = max(float(np.trace(curvature)) / n, 1e-300)
+        system = np.eye(n) * _RIDGE
+        system[1:, 1:] += curvature[1:, 1:] / scale
+        # The row of the shortest exposure, which does not move, holds the constraint of the time.
+        system[0, 0] = 1.0
+        costs = self.within.slopes(row[np.newaxis])[0, 1:]
+        size = float(np.linalg.norm(costs))
+        if size and self.within.total(row[np.newaxis])[0] >= self.within.limit * (1 - 1e-6):
+            system[0, 1:] = system[1:, 0] = costs / size
+            system[0, 0] = 0.0
+        right = np.append(0.0, -slope[1:] / scale)
+        return np.append(0.0, np.linalg.solve(system, right)[1:])
+
+    def _derivatives(self, row: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Return the error of a set (n,), its derivatives (n,), and their own (n, n).
+
+        A change of u's slope within a gap is left out of the latter.
+        """
+        n, desired = row.size, self.desired
+        light = np.clip(self.response.levels * np.exp(-row)[:, np.newaxis], desired.e_min, 1.0)
+        bits = light.view(np.int64)
+        bits &= -1 << _FRAME_BITS
+        bits |= np.arange(n)[:, np.newaxis]
+        light = np.sort(light.ravel(), kind="stable")
+        frame = light.view(np.int64) & ((1 << _FRAME_BITS) - 1)
+        inside = (light > desired.e_min * (1 + SAME)) & (light < 1 - SAME)
+        moved = np.where(inside, desired.slope(light) * light, 0.0)
+        gaps = np.diff(desired.u(light), prepend=0.0, append=1.0)
+        slope = 3 * moved * (gaps[1:] ** 2 - gaps[:-1] ** 2)
+        own = 6 * moved**2 * (gaps[1:] + gaps[:-1])
+        shared = -6 * gaps[1:-1] * moved[1:] * moved[:-1]
+        pairs = np.bincount(frame[1:] * n + frame[:-1], weights=shared, minlength=n * n)
+        curvature = pairs.reshape(n, n)
+        curvature = curvature + curvature.T
+        curvature[np.diag_indices(n)] += np.bincount(frame, weights=own, minlength=n)
+        slopes = np.bincount(frame, weights=slope, minlength=n)
+        return float((gaps**3).sum()), slopes.astype(np.float64), curvature.astype(np.float64)
+
+
+class _Places:
+    """Where one more exposure fills the gaps of a set best.
+
+    Attributes:
+        length: values that are transformed for each answer
+    """
+
+    def __init__(self, filling: GapFilling, n: int) -> None:
+        self._filling, desired = filling, filling.desired
+        levels = filling.response.levels
+        span = -math.log(desired.e_min)
+        # Near full scale, n exposures have n M levels for each 1 of ln E.
+        step = COARSE / (n * filling.response.M)
+        self.length = max(FEWEST, 1 << math.ceil(math.log2((span + filling.reach) / step + 2)))
+        self._step = (span + filling.reach) / (self.length - 2)
+        self._lowest = -span
+        light = self._lowest + self._step * np.arange(round(span / self._step) + 1)
+        self._u = desired.u(np.exp(np.minimum(light, 0.0))).astype(np.float32)
+        at = (np.log(levels[levels > 0]) + span) / self._step
+        at = at[at >= 0]
+        below = np.floor(at).astype(np.intp)
+        comb = np.bincount(below, weights=below + 1 - at, minlength=self.length)
+        comb += np.bincount(below + 1, weights=at - below, minlength=self.length)
+        self._comb = np.fft.rfft(comb.astype(np.float32))
+        self._exposures = self._step * np.arange(int(filling.reach / self._step) + 1)
+        within = filling.within
+        self._costs = within.costs.each(np.exp(self._exposures) * within.unit)
+
+    def filled(self, row: FloatArray, missing: int) -> FloatArray:
+        """Return sets (B, n + 1) with one more exposure, B up to `RATED`, those in time alone.
+
+        Args:
+            row: (n,) set
+            missing: further exposures that are to follow
+        """
+        within = self._filling.within
+        left = within.limit - float(within.total(row[np.newaxis])[0]) - missing * self._costs[0]
+        lowered = self._lowered(row)[: self._exposures.size]
+        middle = lowered[1:-1]
+        peaks = (middle > lowered[:-2]) & (middle >= lowered[2:]) & (self._costs[1:-1] <= left)
+        best = np.flatnonzero(peaks) + 1
+        best = best[np.argsort(-lowered[best])[:RATED]]
+        rows = np.broadcast_to(row, (best.size, row.size))
+        sets = np.sort(np.column_stack([rows, self._exposures[best]]), axis=1)
+        return sets[within.total(sets) <= within.limit]
+
+    def _lowered(self, row: FloatArray) -> FloatArray:
+        """Return what one more exposure lowers the error by, for each of `_exposures`."""
+        levels, desired = self._filling.response.levels, self._filling.desired
+        light = np.sort((levels * np.exp(-row)[:, np.newaxis]).ravel())
+        light = light[(light > desired.e_min) & (light < 1.0)]
+        first = np.ceil((np.log(light) - self._lowest) / self._step).astype(np.intp)
+        count = np.diff(first, prepend=0, append=self._u.size)
+        u = np.append(0.0, desired.u(light)).astype(np.float32)
+        gap = np.repeat(np.diff(u, append=np.float32(1.0)), count)
+        above = self._u - np.repeat(u, count)
+        fall = 3 * above * (gap - above) * gap
+        transform = np.fft.rfft(fall, self.length)
+        return np.asarray(np.fft.irfft(self._comb * transform.conj(), self.length))
