@@ -37,10 +37,6 @@ _PLACES_BITS = 19
 _FACTOR = np.uint64(0x9E3779B97F4A7C15)
 _SHIFT = np.uint64(64 - _PLACES_BITS)
 
-#: Samples after which it is decided whether most combinations are new: of a picture, the first rows
-#: show too few of them twice.
-_ENOUGH = 4 << _PLACES_BITS
-
 #: New combinations that are estimated at once: a call costs as much as 3,000 of them.
 _AT_ONCE = 1 << 12
 
@@ -75,7 +71,7 @@ class LightMemory:
         """Return what `estimate` returns; arguments likewise."""
         light = np.empty(total.size, np.float32)
         deviation = np.empty_like(light)
-        if self._asked > _ENOUGH and self._new > self._asked / 2:
+        if self._asked > self._known.size and self._new > self._asked / 2:
             self._find(values, total, light, deviation)
             return light, deviation
         self._asked += total.size

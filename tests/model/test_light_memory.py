@@ -57,8 +57,8 @@ def test_combinations_that_are_all_new_are_not_kept_for_ever() -> None:
     estimate = _Estimate()
     memory = LightMemory(estimate)
     rng = np.random.default_rng(0)
-    for _ in range(4):
-        values = [rng.integers(0, 1 << 16, 600_000).astype(np.uint16) for _ in range(4)]
+    for _ in range(6):
+        values = [rng.integers(0, 1 << 16, 120_000).astype(np.uint16) for _ in range(4)]
         total = np.asarray(np.sum(values, axis=0, dtype=np.uint32))
         for found, expected in zip(
             memory.of(values, total), _Estimate()(values, total), strict=True
@@ -74,7 +74,7 @@ def test_a_picture_whose_first_rows_are_all_new_is_kept() -> None:
     estimate = _Estimate()
     memory = LightMemory(estimate)
     rng = np.random.default_rng(0)
-    values = [rng.integers(0, 256, 300_000).astype(np.uint8) for _ in range(4)]
+    values = [rng.integers(0, 256, 150_000).astype(np.uint8) for _ in range(4)]
     total = np.asarray(np.sum(values, axis=0, dtype=np.uint32))
     for _ in range(10):
         memory.of(values, total)
