@@ -35,9 +35,9 @@ LOST = 0.05
 
 #: Distances from saturated pixels at which contradictions are counted, pixels along the columns.
 _DISTANCES = (2, 4, 8, 16)
-#: Parts of the map smaller than this share of it are light that spread if more than the second
-#: share of what contradicts there is beside saturated samples.
-_SMALL, _MOST_BESIDE = 1 / 16, 0.9
+#: Parts of the map smaller than this share of it are light that spread if less than `LOST` of what
+#: contradicts there is away from saturated samples.
+_SMALL = 1 / 16
 #: Columns and rows that are looked at, at most, and pixels at a distance that make a share of them
 #: meaningful.
 _MOST_LINES, _RING_SAMPLES = 512, 200
@@ -218,7 +218,7 @@ def only_beside_white(
     count = np.zeros(len(boxes))
     for k, each in found.items():
         count[k] = np.count_nonzero(each)
-    spreads = (count > 0) & (beside > _MOST_BESIDE * count) & (darker < LOST * count + noise)
+    spreads = (count > 0) & (beside > (1 - LOST) * count) & (darker < LOST * count + noise)
     return np.asarray(cells & spreads[labels])
 
 
