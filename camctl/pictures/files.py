@@ -36,7 +36,6 @@ from camctl.system.files import atomic_file, storage_error, write_bytes
 from camctl.system.input_files import check_regular, read_own_file
 from camctl.system.interrupts import uninterrupted
 from camctl.system.library_output import quiet_libraries
-from camctl.system.memory import return_free_memory
 from camctl.system.picture_operations import looked_up, opencv, png
 from camctl.system.threads import THREADS, Threads, in_threads
 
@@ -110,7 +109,6 @@ def write_picture_files(
                 _write_image(image_part, codes, total, rendering, tags | {"iccprofile": profile})
         finally:
             summed.result()  # raises its error before the errors of the others
-        return_free_memory()
         light = reducer.light()
         mapped = threads.submit(renditions, light)  # while the disk takes the files
     if raw is not None:
