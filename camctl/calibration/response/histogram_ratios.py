@@ -31,7 +31,7 @@ def series_matches(series: Series, name: str, *, spill: bool = True) -> Matches:
     def counts(*pair: int) -> NDArray[np.int64]:
         return series.counts_of_pair(name, series.black + edges, (pair[0], pair[1]), spill=spill)
 
-    return match_levels(counts, series.exposures, edges)
+    return match_levels(counts, series.exposures, edges, series.darkest(name))
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from camctl.errors import DataError
 from camctl.model.response.camera import FloatArray, srgb_to_linear
+from camctl.model.sensor import CLIPPING_SIGMAS
 
 #: Brightness levels at which frames are matched.
 _NODES = 254
@@ -98,13 +99,16 @@ def all_matches(parts: Sequence[Matches]) -> Matches:
     return replace(parts[0], **columns, alike=max(1.0, parts[0].alike / count))
 
 
-def match_levels(counts_of: PairCounts, exposures: Sequence[float], edges: FloatArray) -> Matches:
+def match_levels(
+    counts_of: PairCounts, exposures: Sequence[float], edges: FloatArray, darkest: float = 0.0
+) -> Matches:
     """Return the brightness levels of equal irradiance in all pairs of frames.
 
     Args:
         counts_of: pixels of two frames, given by their indices
         exposures: relative exposures of the frames
         edges: (K,) levels, ascending; the last is M
+        darkest: level up to which noise distorts the histograms, as it is clipped at black
     """
     levels = edges[-1] + 1
     width = max(1.0, levels / NOISE_STEPS)
@@ -122,6 +126,11 @@ def match_levels(counts_of: PairCounts, exposures: Sequence[float], edges: Float
         used = (low > lowest) & (number > 0) & (number < counts[1].sum())
         used &= np.minimum(low_pixels, high_pixels) >= LEAST_PIXELS
         pair = np.full((2, int(used.sum())), [[short], [long]], np.float64)
+        for level, variance in ((low, low_variance), (nodes, high_variance)):
+            # They are shifted by as much as the noise there, all alike: together they are one.
+            dark = level < darkest
+            number = np.count_nonzero(dark & used)
+            variance[dark] += number * (darkest / CLIPPING_SIGMAS) ** 2
         values = (low, nodes, low_variance, high_variance, np.zeros(low.size))
         found.append((*pair, *(each[used] for each in values)))
     if not found:

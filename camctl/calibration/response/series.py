@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.limits import DIM
+from camctl.calibration.limits import DIM, LEAST_PATCHES
 from camctl.calibration.refusals import check_size
 from camctl.calibration.response.matches import guess_exposures, neighbour_steps
 from camctl.calibration.response.spill import SampleGrid, grid_counts
@@ -21,7 +21,7 @@ from camctl.evidence.patches import Patches, moved_samples, sample_patches
 from camctl.findings import Finding
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray, linear_response
-from camctl.model.sensor import SensorModel
+from camctl.model.sensor import CLIPPING_SIGMAS, SensorModel
 from camctl.system.picture_operations import level_counts, plane_by_plane
 
 #: Levels at which a response is estimated, evenly spread, and of how many first ones at all.
@@ -34,6 +34,10 @@ _DARK_SHARE = 0.02
 #: Share of a picture of which samples are subtracted from those of all pixels where it moved; where
 #: more moved, the rest of the grid is counted.
 _LITTLE = 0.1
+#: Bands of brightness, of a factor of 1.5 in 8 bits; median over quartile of the variances of the
+#: patches in one that are noise alone: 1.22 by chi-squared of 25 degrees of freedom, as many as the
+#: 48 second differences of a patch have; texture makes it 1.4 to 500.
+_BANDS, _NOISE_ALONE = 15, 1.3
 #: Black levels that are looked for, as shares of full scale: cameras have 1/64 to 1/16.
 _LEAST_BLACK, _MOST_BLACK = 1 / 128, 1 / 8
 
@@ -215,6 +219,35 @@ class Series:
             used = levels.mean(axis=2) > darkest * (self.white - self.black)
             used &= patches.max(axis=2) <= self.highest
             yield Neighbours(short, long, np.maximum(levels[:, used.all(axis=0)], 0))
+
+    def darkest(self, channel: str) -> float:
+        """Return the least level that noise does not clip at black, above which histograms hold.
+
+        Below it, more samples of a level come from lighter places than the other way round.  The
+        noise is the second difference of neighbouring samples, in patches that show noise alone.
+        """
+        every = np.concatenate(
+            [self.channel_patches(k, channel) for k in range(len(self.exposures))]
+        )
+        levels = every.reshape(len(every), -1, math.isqrt(every.shape[1])).astype(np.float64)
+        if self.black or levels.shape[2] < 3:
+            return 0.0
+        # Its variance is 1 + 4 + 1 times that of a sample.
+        variance = np.mean(np.square(np.diff(levels, 2, axis=2)), axis=(1, 2)) / 6
+        mean = every.mean(axis=1) - self.black
+        edges = np.geomspace(1, self.white - self.black, _BANDS)
+        band = np.searchsorted(edges, mean, side="right")
+        is_clipped = False
+        for place in range(1, _BANDS):
+            members = band == place
+            if np.count_nonzero(members) >= LEAST_PATCHES:
+                quarter, half = np.quantile(variance[members], (0.25, 0.5))
+                middle = float(np.median(mean[members]))
+                is_noise = half <= _NOISE_ALONE * quarter
+                if not is_noise or CLIPPING_SIGMAS * math.sqrt(quarter) < middle:
+                    return middle if is_clipped else 0.0
+                is_clipped = True
+        return 0.0
 
     def channel_patches(self, position: int, channel: str) -> Patches:
         """Return the patches of one channel of a frame."""
