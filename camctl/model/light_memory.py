@@ -71,7 +71,7 @@ class LightMemory:
         """Return what `estimate` returns; arguments likewise."""
         light = np.empty(total.size, np.float32)
         deviation = np.empty_like(light)
-        if self._asked > self._known.size and self._new > self._asked / 2:
+        if self._asked > self._known.size / 2 and self._new > self._asked / 2:
             self._find(values, total, light, deviation)
             return light, deviation
         self._asked += total.size
