@@ -30,10 +30,10 @@ _BLOCK = 1 << 16
 #: of 2 MB.
 _ESTIMATED = 1 << 14
 
-#: Combinations that are kept: 2^19, 8 MB.  A number is spread over their places by its product with
+#: Combinations that are kept: 2^18, 4 MB.  A number is spread over their places by its product with
 #: an odd one without a pattern (2^64 over the golden ratio), and is there or in the place beside
-#: it.  Of 200,000 combinations 7 % have no place of their own (17 %, with one place for each).
-_PLACES_BITS = 19
+#: it.  Of 100,000 combinations 7 % have no place of their own (17 %, with one place for each).
+_PLACES_BITS = 18
 _FACTOR = np.uint64(0x9E3779B97F4A7C15)
 _SHIFT = np.uint64(64 - _PLACES_BITS)
 
@@ -71,7 +71,7 @@ class LightMemory:
         """Return what `estimate` returns; arguments likewise."""
         light = np.empty(total.size, np.float32)
         deviation = np.empty_like(light)
-        if self._asked > self._known.size / 2 and self._new > self._asked / 2:
+        if self._asked > self._known.size and self._new > self._asked / 2:
             self._find(values, total, light, deviation)
             return light, deviation
         self._asked += total.size
