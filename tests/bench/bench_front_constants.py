@@ -47,8 +47,8 @@ CONSTANTS: list[tuple[ModuleType, str, tuple[float, ...]]] = [
     (gap_filling, "STEPS", (3, 12)),
     (gap_filling, "COARSE", (1, 6)),
     (least_quantisation, "LONGER", (1, 20)),
-    (least_quantisation, "TRIED", (3, 6)),
-    (least_quantisation, "EXCHANGES", (6, 24)),
+    (least_quantisation, "TRIED", (3, 7)),
+    (least_quantisation, "EXCHANGES", (3, 12)),
     (least_quantisation, "MORE_EXCHANGES", (15, 60)),
 ]
 """Modules, names of their constants, and other values."""

@@ -33,17 +33,18 @@ COUNTS = (2, 3, 4, 6, 8, 11, 16)
 EVEN, BEST = 6, 2
 """Starts of equal factors, and best sets that are kept."""
 
-LONGER, TRIED, LAST = 6, 4, 2
+LONGER, TRIED, LAST = 6, 5, 2
 """Factor on that work for the best numbers of exposures; how many these are; and how many of them
 are improved for long."""
 
-EXCHANGES, MORE_EXCHANGES = 12, 30
-"""Exchanges of exposures for each of these numbers, and more of them for the best ones."""
+EXCHANGES, MORE_EXCHANGES, MOST_EXCHANGED = 6, 30, 120_000
+"""Exchanges of exposures for each of these numbers, more of them for the best ones, at most, and
+at most so many levels in all of these."""
 
-MOST_LEVELS, QUICKER = 8192, 4
-"""Levels of all exposures together, at most, and what they are divided by where the search is
-quick: cameras of more are searched by every second, fourth, ... level, and the distances between
-levels that interleave are then reduced as much."""
+MOST_LEVELS, QUICK_LEVELS = 8192, 128
+"""Levels of all exposures together, at most, and of each one where the search is quick: cameras of
+more are searched by every second, fourth, ... level, and the distances between levels that
+interleave are then reduced as much."""
 
 
 def least_quantisation(
@@ -78,7 +79,7 @@ def least_quantisation(
         return [shots for each in found[:BEST] for shots in _shots(search, each, settles=False)]
     found = [each.improved(EXCHANGES) for each in best([f.n for f in found[:TRIED]], quick=False)]
     found.sort(key=lambda each: each.error)
-    found[:LAST] = [each.improved(MORE_EXCHANGES) for each in found[:LAST]]
+    found = [each.improved(MORE_EXCHANGES) for each in found[:LAST]]
     return [shots for each in found for shots in _shots(search, each, settles=True)]
 
 
@@ -105,7 +106,8 @@ class _Found:
 
     def improved(self, exchanges: int) -> _Found:
         """Return the best set after exchanges of exposures, and what it was before."""
-        row, error = self.filling.improved(self.sets[0], exchanges)
+        most = MOST_EXCHANGED // (self.n * self.filling.response.M)
+        row, error = self.filling.improved(self.sets[0], min(exchanges, most))
         return replace(self, sets=(row, self.sets[0]), error=error / self.finer**2)
 
 
@@ -113,7 +115,7 @@ def _best_of(search: DesignSearch, n: int, design: Design, limit: float, *, quic
     """Return the best sets of n exposures."""
     most, part, rounds = MOST_LEVELS // n, 1.0, ROUNDS
     if quick:
-        most, part, rounds = most // QUICKER, 0.5, ROUNDS // 2
+        most, part, rounds = QUICK_LEVELS, 0.5, ROUNDS // 2
     problem = search.problem
     finer = 2 ** max(0, math.ceil(math.log2((problem.response.M + 1) / most)))
     response = every_nth_level(problem.response, finer)
