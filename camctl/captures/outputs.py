@@ -105,7 +105,13 @@ def complete(
     outside = light_shares(controls.layout, total, tables, shot.desired)
     achieved = _achieved(unfinished, shot, controls, outside)
     movement, measured = _evidence(
-        shot, checks, controls, store, total.shape, achieved.effective_levels
+        shot,
+        checks,
+        controls,
+        store,
+        total.shape,
+        achieved.effective_levels,
+        agrees=unfinished.trustworthy,
     )
     light = _light(shot, checks, controls)
     quality = light.quality(checks.samples)
@@ -236,24 +242,24 @@ def _evidence(
     store: CaptureStore,
     shape: tuple[int, ...],
     effective_levels: float,
+    *,
+    agrees: bool,
 ) -> tuple[Movement | None, MeasuredNoise | None]:
     """Return what moved, and the noise that the pixels show.
 
-    Noise that contradicts the known one is left out where things moved: it may come from them.
+    Noise that contradicts the known one is left out where things moved, or where frames do not
+    agree in their exposures: it may come from that.
     """
     pairs = checks.pairs(shot.exposures, shot.noise if controls.noise else None)
     movement = find_movement(store.rows, shape, pairs)
     measured = measure_noise(
         controls.levels, shot.desired, checks.samples, shot.exposures, shot.noise, shot.gains
     )
-    is_of_movement = (
-        measured is not None
-        and bool(controls.noise)
-        and movement is not None
-        and movement.found.is_local
-        and measured.contradicts(effective_levels)
-    )
-    return movement, None if is_of_movement else measured
+    moved = movement is not None and movement.found.is_local
+    is_doubtful = bool(controls.noise) and (moved or not agrees)
+    if is_doubtful and measured is not None and measured.contradicts(effective_levels):
+        measured = None
+    return movement, measured
 
 
 def _light(shot: _Shot, checks: FrameChecks, controls: ExposureControls) -> FrameLight:
