@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from types import ModuleType
 
 import numpy as np
@@ -31,7 +30,9 @@ _BLOCKS, _POINTS = 8, 600
 _COARSE_SIDE, _LARGEST = 192, 0.25
 #: Standard deviation of the blur before differences are taken, pixels.
 _BLUR = 1.0
-#: Bins of brightness, in each of which the mean residual is left out.
+#: The blur makes neighbours alike: so many pixels have one error.
+_ALIKE = 4 * math.pi * _BLUR**2
+#: Bins of brightness, in each of which the line of the residuals over it is left out.
 _BINS = 48
 #: Brightness values that are distinguished where two histograms are compared.
 _RANKS = 1024
@@ -197,21 +198,24 @@ class _Level:
         """Half the longer side, pixels."""
         return float(max(self.image.shape)) / 2
 
-    @cached_property
-    def counts(self) -> NDArray[np.intp]:
-        """Points of each bin that are to be compared."""
-        return np.bincount(self.bins[self.is_valid], minlength=_BINS + 1)
-
     def without_bins(self, values: _Floats, used: _Mask) -> _Floats:
-        """Return values at the points minus their mean of each bin of brightness.
+        """Return values at the points minus their line over brightness in each bin of it.
 
-        The mean is that of points that are used, of those that are to be compared.
+        The line is that of points that are used, of those that are to be compared.
         """
-        sums = np.bincount(self.bins.ravel(), (used * values).ravel(), _BINS + 1)
-        is_all = np.count_nonzero(used) == self.counts.sum()
-        counts = self.counts if is_all else np.bincount(self.bins[used], minlength=_BINS + 1)
-        means = sums / np.maximum(counts, 1)
-        return values - means.astype(np.float32)[self.bins]
+        bins, size = self.bins.ravel(), _BINS + 1
+
+        def sums(each: _Floats) -> _Vector:
+            return np.bincount(bins, each.ravel(), size).astype(np.float64)
+
+        counts = np.maximum(np.bincount(self.bins[used], minlength=size), 1)
+        middle = (sums(used * self.values) / counts).astype(np.float32)
+        means = (sums(used * values) / counts).astype(np.float32)
+        beside = used * (self.values - middle[self.bins])
+        slopes = sums(beside * values) / np.maximum(sums(beside**2), 1e-12)
+        found = values - means[self.bins]
+        found -= slopes.astype(np.float32)[self.bins] * (self.values - middle[self.bins])
+        return np.asarray(found)
 
     def residuals(self, place: _Vector) -> _Residuals:
         """Return image minus template at the points, and which are valid.
@@ -276,31 +280,33 @@ def _fitted(level: _Level, start: _Vector, size: int) -> _Fit:
         matrix += np.diag(np.diag(matrix) * 1e-6 + 1e-9)
         step = np.linalg.solve(matrix, weighted.T @ residuals.ravel())
         place = place - step
-        # The blur makes neighbours alike: so many pixels have one error.
-        alike = 4 * math.pi * _BLUR**2
-        errors = noise * np.sqrt(alike * np.diag(np.linalg.inv(matrix)))
+        errors = noise * np.sqrt(_ALIKE * np.diag(np.linalg.inv(matrix)))
         if (np.abs(step) < errors).all():
             break
     return _Fit(place, errors)
 
 
-def _is_better(before: _Residuals, after: _Residuals, tests: int) -> bool:
+def _is_better(before: _Residuals, after: _Residuals, tests: int, tried: int = 1) -> bool:
     """Return whether the blocks of the picture fit better after than before, and not by chance.
 
     Their scatter holds what moved in some of them, and what neighbouring pixels have in common.
+    Steps of a quantiser are alike in all blocks: they fit better by less than the noise explains.
 
     Args:
         before: residuals of one place
         after: of the other one
         tests: over which the significance level is divided
+        tried: places of which the other one is the best
     """
     (still, moved), _ = _costs((before, after))
     gains = (still - moved).sum(axis=1, dtype=np.float64)
     gains = gains[gains != 0]  # of blocks that can be compared
     if gains.size < 2:
         return False
-    limit = student(significant_sigmas(tests), gains.size - 1.0)
-    return bool(gains.mean() > limit * gains.std(ddof=1) / math.sqrt(gains.size))
+    limit = student(significant_sigmas(tests), gains.size - 1.0) * gains.std(ddof=1)
+    # For small residuals the cost is that of normal noise, -ln of the likelihood, in other units.
+    chance = significant_sigmas(tests * tried) ** 2 / 2 * _ALIKE * 2 / _CAUCHY**2
+    return bool(gains.sum() > max(limit * math.sqrt(gains.size), chance))
 
 
 def _judged(level: _Level, fit: _Fit) -> _Vector | None:
@@ -308,7 +314,9 @@ def _judged(level: _Level, fit: _Fit) -> _Vector | None:
     whole = _fitted(level, fit.place, 4)
     still, shifted, turned = map(level.residuals, (np.zeros(2), fit.place, whole.place))
     pairs = ((shifted, turned), (still, turned), (still, shifted))
-    is_turned, is_either, is_shifted = (_is_better(*pair, len(pairs)) for pair in pairs)
+    # The best of all shifts fits better than none by chance already.
+    tried = math.ceil((2 * _LARGEST) ** 2 * level.image.size)
+    is_turned, is_either, is_shifted = (_is_better(*pair, len(pairs), tried) for pair in pairs)
     if is_turned and is_either:
         return _inverse(_known(whole) / (1, 1, level.half, level.half))
     if is_shifted:

@@ -119,10 +119,11 @@ class StepScores:
 
         Args:
             values: samples of each frame, (S,), black included
-            bins: place of a first light of each among the lights, (S,)
+            bins: place of a first light of each among the lights, (S,); it may be beyond the last
         """
         _, size, many = self._scores.shape
         values = [np.minimum(each, many - 1) for each in values]
+        bins = np.minimum(bins, size - 1)
         for _ in range(_ROUNDS):
             rows = bins * many
             score = self._scores[0].ravel().take(rows + values[0])

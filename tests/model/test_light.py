@@ -116,3 +116,17 @@ def test_tables_are_kept_by_response_exposures_and_noise() -> None:
     assert light_tables(FrameSet(linear_response(4), 0, (1.0, 3.0), (noise, noise))) is first
     other = FrameSet(standard_response("srgb", 4), 0, (1.0, 3.0), (noise, noise))
     assert light_tables(other) is not first
+
+
+def test_first_lights_beyond_the_table_of_scores_do_not_meet() -> None:
+    noise = FrameNoise(40.0, 0.3)
+    frames = FrameSet(linear_response(8), 0, (1.0, 4.0), (noise, noise))
+    tables = light_tables(frames)
+    scores = tables._scores
+    assert scores is not None
+    values = [np.full(3, 40), np.full(3, 160)]
+    bins = np.array([scores.size - 2, scores.size, tables.lights.size - 1])
+    light, deviation, meets = scores.of(values, bins)
+    assert np.isfinite(light).all()
+    assert np.isfinite(deviation).all()
+    assert not meets[1:].any()

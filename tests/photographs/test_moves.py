@@ -10,6 +10,7 @@ import pytest
 from bracketed_photographs import error_between, light, photograph
 from numpy.typing import NDArray
 
+from camctl.evidence.alignment import displacement
 from camctl.interface.controls import Layout
 from camctl.photographs.moves import Move, overlap
 
@@ -104,3 +105,13 @@ def test_what_a_saturated_sample_is_in_stays_saturated() -> None:
     moved = Move(matrix, False).applied(pixels, Layout.MONO, 1000)
     assert (moved[9:11, 9:11] == 1000).all()
     assert np.count_nonzero(moved == 1000) == 4
+
+
+def test_steps_of_the_quantiser_in_a_smooth_picture_are_no_displacement() -> None:
+    light = np.geomspace(0.003, 1, 64 * 48).reshape(48, 64)
+    short, long = (
+        (np.minimum(256 * (exposure * light) ** 0.45, 255).astype("u1") / 255).astype("f4")
+        for exposure in (0.25, 1.0)
+    )
+    found = displacement(short, long)
+    assert found is None or not found.any()
