@@ -82,7 +82,8 @@ def test_capture_is_taken_judged_and_loaded(
     slider.focus()
     page.keyboard.press("ArrowLeft")
     assert page.inner_text(".dials") != before
-    assert page.locator(".dials dd:has-text('effective levels')").evaluate(_IN_SIGHT)
+    levels = page.wait_for_selector(".dials dd:has-text('effective levels')")
+    page.wait_for_function(_IN_SIGHT, arg=levels)  # once the pictures beside it have their size
     page.keyboard.press("Escape")
     page.wait_for_selector("[data-entry]:has-text('Recommended')")
     page.click("text=Time / accuracy")
