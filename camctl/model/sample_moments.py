@@ -19,8 +19,8 @@ from camctl.model.sensor import SensorModel
 _OF_STEP, _MOST_LIGHTS = 8, 2048
 #: Their phases in the quantiser follow no pattern where steps are finer (the golden ratio).
 _PHASE = (np.sqrt(5) - 1) / 2
-#: Values of a sample that are told apart at a light: so many groups of 12 standard deviations are
-#: as good as single values, whose light their means are.
+#: Values of a sample that are distinguished at a light: so many groups of 12 standard deviations
+#: are as good as single values, whose light their means are.
 _MOST_VALUES = 48
 
 

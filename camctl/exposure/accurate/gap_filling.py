@@ -124,8 +124,8 @@ class GapFilling:
         places = _Places(self, row.size)
         error = float(self.errors(row[np.newaxis])[0])
         for _ in range(exchanges):
-            trial = self._exchanged(row, places, rng)
-            if trial is None or self.errors(trial[np.newaxis])[0] > NEAR * error:
+            trial, found = self._exchanged(row, places, rng)
+            if found > NEAR * error:
                 continue
             trial, found = self.settled(trial)
             if found < error:
@@ -134,8 +134,11 @@ class GapFilling:
 
     def _exchanged(
         self, row: FloatArray, places: _Places, rng: np.random.Generator
-    ) -> FloatArray | None:
-        """Return a set with some exposures taken out and about as many put in; None: none fit."""
+    ) -> tuple[FloatArray, float]:
+        """Return a set with some exposures taken out and about as many put in, and its error.
+
+        The error is infinite where none of them fit.
+        """
         n, (fewest, most) = row.size, self.counts
         first = int(rng.integers(1, n))
         out = rng.permutation(np.arange(1, n)) if rng.random() < 0.5 else np.arange(first, n)
@@ -143,15 +146,18 @@ class GapFilling:
         left = n - out.size
         more = rng.choice([-1, 0, 0, 0, 1])
         inserted = min(max(out.size + more, max(2, fewest) - left), most - left)
-        trial = np.delete(row, out)
+        trial, error = np.delete(row, out), math.inf
+        if not inserted:
+            return trial, float(self.errors(trial[np.newaxis])[0])
         for missing in range(inserted - 1, -1, -1):
             trials = places.filled(trial, missing)
             if not len(trials):
-                return None
-            best = int(np.argmin(self.errors(trials)))
+                return trial, math.inf
+            errors = self.errors(trials)
             other = int(rng.integers(len(trials)))
-            trial = trials[other if missing and rng.random() < 0.5 else best]
-        return trial
+            place = other if missing and rng.random() < 0.5 else int(np.argmin(errors))
+            trial, error = trials[place], float(errors[place])
+        return trial, error
 
     def settled(self, row: FloatArray) -> tuple[FloatArray, float]:
         """Return a set (n,) after steps of Newton's method within the time, and its error."""
@@ -212,11 +218,7 @@ class GapFilling:
 
 
 class _Places:
-    """Where one more exposure fills the gaps of a set best.
-
-    Attributes:
-        length: values that are transformed for each answer
-    """
+    """Where one more exposure fills the gaps of a set best."""
 
     def __init__(self, filling: GapFilling, n: int) -> None:
         self._filling, desired = filling, filling.desired
@@ -224,16 +226,16 @@ class _Places:
         span = -math.log(desired.e_min)
         # Near full scale, n exposures have n M levels for each 1 of ln E.
         step = COARSE / (n * filling.response.M)
-        self.length = max(FEWEST, 1 << math.ceil(math.log2((span + filling.reach) / step + 2)))
-        self._step = (span + filling.reach) / (self.length - 2)
+        self._length = max(FEWEST, 1 << math.ceil(math.log2((span + filling.reach) / step + 2)))
+        self._step = (span + filling.reach) / (self._length - 2)
         self._lowest = -span
         light = self._lowest + self._step * np.arange(round(span / self._step) + 1)
         self._u = desired.u(np.exp(np.minimum(light, 0.0))).astype(np.float32)
         at = (np.log(levels[levels > 0]) + span) / self._step
         at = at[at >= 0]
         below = np.floor(at).astype(np.intp)
-        comb = np.bincount(below, weights=below + 1 - at, minlength=self.length)
-        comb += np.bincount(below + 1, weights=at - below, minlength=self.length)
+        comb = np.bincount(below, weights=below + 1 - at, minlength=self._length)
+        comb += np.bincount(below + 1, weights=at - below, minlength=self._length)
         self._comb = np.fft.rfft(comb.astype(np.float32))
         self._exposures = self._step * np.arange(int(filling.reach / self._step) + 1)
         within = filling.within
@@ -268,5 +270,5 @@ class _Places:
         gap = np.repeat(np.diff(u, append=np.float32(1.0)), count)
         above = self._u - np.repeat(u, count)
         fall = 3 * above * (gap - above) * gap
-        transform = np.fft.rfft(fall, self.length)
-        return np.asarray(np.fft.irfft(self._comb * transform.conj(), self.length))
+        transform = np.fft.rfft(fall, self._length)
+        return np.asarray(np.fft.irfft(self._comb * transform.conj(), self._length))
