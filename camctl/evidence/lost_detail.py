@@ -21,6 +21,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.evidence.chroma import NOISE_OF_Y, patch_brightness
+from camctl.evidence.patches import Patches
+
 Floats = NDArray[np.float64]
 
 SIDE = 8
@@ -41,11 +44,14 @@ _EXAMPLE = (
     (72, 92, 95, 98, 112, 100, 103, 99),
 )
 
-#: Mean cosine of frequencies in steps: a step of 2 has 0.55, as rounded pixels have errors of 0.35,
-#: and what is no step has 0 with an error of 0.07, if so many frequencies show it.
-_LEAST_COSINE, _LEAST_COUNT, _CHANCE = 0.4, 100, 0.14
-#: Of these, how many must be farther than one and a half steps: others are near any step.
-_LEAST_FARTHER = 20
+#: Standard deviation of frequencies by rounded brightness and then colours, bins of a level,
+#: and what rounding makes of 0 at most: 4 of these.
+_ROUNDED, _OF_LEVEL = math.sqrt((1 + NOISE_OF_Y**2) / 12), 4
+_NEAR_ZERO = 4 * _ROUNDED
+#: Blocks that are looked at, about, and the size of frequencies: few are larger.
+_BLOCKS, _LARGEST_SIZE = 1 << 14, 512
+#: Share of the frequencies that are no multiple of the step, as where a sample is clipped.
+_OTHERS = 1e-3
 #: Frequencies that must show their step for the others to be known from them.
 _LEAST_KNOWN = 3
 _LARGEST_STEP = 255
@@ -93,14 +99,39 @@ class LostDetail:
         return self.of(blocks.reshape(-1, SIDE, SIDE)).reshape(rows, columns)
 
 
+def file_steps(samples: Sequence[Patches], colours: int) -> Floats | None:
+    """Return the steps of the frequencies of brightness in files, levels; None if none are seen.
+
+    Args:
+        samples: patches of each frame of 8 bits, see `sample_patches`
+        colours: 1, or 3
+    """
+    if samples[0].shape[1] != SIDE * SIDE:
+        return None
+    every = max(1, len(samples) * len(samples[0]) // colours // _BLOCKS)
+    found = []
+    for patches in samples:
+        of_colours = patches.reshape(colours, -1, SIDE * SIDE)[:, ::every]
+        is_whole = (of_colours.min(axis=(0, 2)) > 0) & (of_colours.max(axis=(0, 2)) < LEVELS - 1)
+        some = of_colours[:, is_whole].reshape(-1, SIDE * SIDE)
+        found.append(frequencies(patch_blocks(some, colours)))
+    return quantisation(found)
+
+
+def patch_blocks(patches: Patches, colours: int) -> NDArray[np.float32]:
+    """Return the brightness of patches of one colour or of three, (blocks, 8, 8)."""
+    if colours == 1:
+        return patches.reshape(-1, SIDE, SIDE).astype(np.float32)
+    return patch_brightness(patches)
+
+
 def quantisation(frames: Sequence[NDArray[np.float32]]) -> Floats | None:
     """Return the steps of the frequencies that blocks of frames show, levels; None if they do not.
 
     Args:
         frames: frequencies of blocks of each frame, (blocks, 64), without clipped samples
     """
-    values = np.concatenate(frames)
-    known = np.array([0, *(_step(each) for each in values.T[1:])])
+    known = _steps(frames)
     shown = known > 0
     if np.count_nonzero(shown) < _LEAST_KNOWN:
         return None
@@ -140,24 +171,18 @@ def _lost_detail(values: NDArray[np.float32], steps: Floats, noise: Floats) -> L
 
 
 def lost_details(
-    blocks: Sequence[NDArray[np.float32]], noise: Sequence[Floats]
+    blocks: Sequence[NDArray[np.float32]], steps: Floats, noise: Sequence[Floats]
 ) -> tuple[LostDetail, ...]:
-    """Return what the files of frames lose; nothing where they do not show how they round.
+    """Return what the files of frames lose.
 
     Args:
         blocks: brightness of blocks all over each frame, (blocks, 8, 8)
+        steps: of their frequencies, levels
         noise: standard deviation of the brightness of each frame at each one, levels, (256,)
     """
-    values = [frequencies(each) for each in blocks]
-    steps = quantisation(
-        [
-            found[(each.min(axis=(1, 2)) > 1) & (each.max(axis=(1, 2)) < LEVELS - 2)]
-            for found, each in zip(values, blocks, strict=True)
-        ]
+    return tuple(
+        _lost_detail(frequencies(each), steps, own) for each, own in zip(blocks, noise, strict=True)
     )
-    if steps is None:
-        return ()
-    return tuple(_lost_detail(each, steps, own) for each, own in zip(values, noise, strict=True))
 
 
 def frequencies(brightness: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -184,22 +209,47 @@ def _noise_bins(brightness: NDArray[np.float32]) -> NDArray[np.intp]:
     return np.asarray(mean * (_NOISE_BINS / LEVELS), np.intp)
 
 
-def _step(values: NDArray[np.float32]) -> int:
-    """Return the step of which values are multiples, 0 where none is seen."""
-    size = np.sort(np.abs(values))
-    cosines = {}
-    for step in range(2, _LARGEST_STEP + 1):
-        first, second = np.searchsorted(size, (step / 2, 3 * step / 2))
-        if size.size - first < _LEAST_COUNT:
-            break
-        if size.size - second < _LEAST_FARTHER:
-            continue
-        cosine = float(np.cos(size[first:] * np.float32(2 * math.pi / step)).mean())
-        if cosine > _LEAST_COSINE:
-            cosines[step] = cosine
-    # Parts of the step have about the same cosine, multiples have not.
-    best = max(cosines.values(), default=0)
-    return max((step for step, each in cosines.items() if each > best - _CHANCE), default=0)
+def _steps(frames: Sequence[NDArray[np.float32]]) -> Floats:
+    """Return the most probable step of each frequency, (64,); 0 where it is not seen."""
+    counts = np.zeros((SIDE * SIDE, _LARGEST_SIZE * _OF_LEVEL))
+    for values in frames:
+        places = np.abs(values) * np.float32(_OF_LEVEL) + np.float32(0.5)
+        np.minimum(places, counts.shape[1] - 1, out=places)
+        index = places.astype(np.intp) + np.arange(SIDE * SIDE) * counts.shape[1]
+        counts += np.bincount(index.ravel(), minlength=counts.size).reshape(counts.shape)
+    # Of the multiples, 0 is any step's, and how frequent it is shows none.
+    first = math.ceil(_NEAR_ZERO * _OF_LEVEL)
+    likely, shown = _likelihoods()[first:-1], counts[:, first:-1]
+    number = np.maximum(shown.sum(axis=1), 1)
+    size = np.arange(first, counts.shape[1] - 1) / _OF_LEVEL
+    rate = 1 / np.maximum(shown @ size / number - _NEAR_ZERO, 1 / _OF_LEVEL)[:, np.newaxis]
+    step = np.arange(1, _LARGEST_STEP + 1)
+    # Where sizes decrease exponentially within a step, its first multiple has more than a share.
+    exponent = rate * (_NEAR_ZERO - step) + np.square(rate * _ROUNDED) / 2
+    first_share = step * rate * np.exp(exponent) / -np.expm1(-rate * step)
+    share = np.maximum((1 - _OTHERS) * first_share + _OTHERS, 1.0)
+    evidence = shown @ likely - number[:, np.newaxis] * np.log(share)
+    best = evidence.argmax(axis=1)
+    known = (evidence.max(axis=1) > math.log(evidence.size)) & (best > 0)
+    known[0] = False
+    return np.where(known, best + 1.0, 0.0)
+
+
+@lru_cache(maxsize=1)
+def _likelihoods() -> Floats:
+    """Return the logarithm of the likelihood of each step, from 1, at each size of a frequency.
+
+    It is that over the one of a frequency that may be any number, (bins, steps).
+    """
+    size = np.arange(_LARGEST_SIZE * _OF_LEVEL)[:, np.newaxis] / _OF_LEVEL
+    step = np.arange(1, _LARGEST_STEP + 1)
+    multiple = np.maximum(np.rint(size / step), 1)
+    variance = _ROUNDED**2 + 1 / (12 * _OF_LEVEL**2)
+    square = np.square(size - multiple * step) / variance
+    found = step * np.exp(-square / 2) / math.sqrt(2 * math.pi * variance)
+    # Rounding hides steps of 1.
+    found[:, 0] = 1.0
+    return np.asarray(np.log((1 - _OTHERS) * found + _OTHERS))
 
 
 def _scales(kept: NDArray[np.bool_], classes: NDArray[np.intp], steps: Floats) -> Floats:
@@ -224,6 +274,12 @@ def _scales(kept: NDArray[np.bool_], classes: NDArray[np.intp], steps: Floats) -
             lambda x, y=own: expected(x, y).sum(axis=0, keepdims=True),  # type: ignore[misc]
             of_frequency,
         )
+    never = seen[:, 1:].sum(axis=0) == 0
+    if np.count_nonzero(~never) > 3:
+        # What no block shows is less than it could hide: detail falls with a power of frequency.
+        octave = np.log(np.hypot(*np.divmod(np.arange(1, SIDE * SIDE), SIDE)))
+        line = np.polyfit(octave[~never], frequency[0, 1:][~never], 2)
+        frequency[0, 1:][never] = np.minimum(frequency[0, 1:], np.polyval(line, octave))[never]
     used = np.flatnonzero(blocks)
     own = np.interp(np.arange(count), used, own[used, 0])[:, np.newaxis]
     return np.asarray(np.exp(own + frequency))

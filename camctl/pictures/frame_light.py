@@ -20,10 +20,15 @@ from camctl.evidence.chroma import (
     NOISE_OF_Y,
     ROUNDING,
     has_few_chroma_samples,
-    patch_brightness,
     patch_chroma_variance,
 )
-from camctl.evidence.lost_detail import LEVELS, SIDE, LostDetail, lost_details
+from camctl.evidence.lost_detail import (
+    LEVELS,
+    LostDetail,
+    file_steps,
+    lost_details,
+    patch_blocks,
+)
 from camctl.evidence.noise import NoiseFit, fit_noise
 from camctl.evidence.patch_noise import electrons_per_level
 from camctl.evidence.patches import Patches
@@ -311,8 +316,7 @@ def frame_light(
 
 def _lost_details(green: LightTables, samples: Sequence[Patches]) -> tuple[LostDetail, ...]:
     """Return what the files of frames lose of their brightness, as samples of colours show it."""
-    blocks = [patch_brightness(each) for each in samples]
-    if blocks[0].shape[1] != SIDE or green.sensor.white != LEVELS - 1:
+    if green.sensor.white != LEVELS - 1 or (found := file_steps(samples, 3)) is None:
         return ()
     noise = []
     for light, variances, steps in zip(green.irradiance, green.variances, green.steps, strict=True):
@@ -320,7 +324,7 @@ def _lost_details(green: LightTables, samples: Sequence[Patches]) -> tuple[LostD
         noise.append(
             NOISE_OF_Y * np.sqrt(variances.take(bins)) / np.maximum(steps.take(bins), 1e-12)
         )
-    return lost_details(blocks, noise)
+    return lost_details([patch_blocks(each, 3) for each in samples], found, noise)
 
 
 def is_noiseless(noise: Sequence[FrameNoise]) -> bool:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.chroma import NOISE_OF_Y, brightness, chroma_variance
-from camctl.evidence.lost_detail import LEVELS, SIDE, lost_details
+from camctl.evidence.lost_detail import LEVELS, SIDE, frequencies, lost_details, quantisation
 
 Picture = NDArray[np.uint8]
 
@@ -79,10 +79,12 @@ def detail(pixels: NDArray[np.float32], quality: int) -> str:
     inside = blocks_of(np.all((pixels > 12) & (pixels < 245), axis=2), SIDE).all(axis=(2, 3))
     real = max(0.0, float((errors[0] * errors[1]).mean(axis=(2, 3))[inside].mean()))
     Y = brightness(np.moveaxis(files[0], 2, 0))
-    details = lost_details(
-        [blocks_of(Y, SIDE).reshape(-1, SIDE, SIDE)], [np.full(LEVELS, NOISE_OF_Y * _NOISE)]
-    )
-    found = details[0].of_picture(Y)[inside].mean() if details else 0.0
+    blocks = blocks_of(Y, SIDE).reshape(-1, SIDE, SIDE)
+    steps = quantisation([frequencies(blocks[inside.ravel()])])
+    found = 0.0
+    if steps is not None:
+        (lost,) = lost_details([blocks], steps, [np.full(LEVELS, NOISE_OF_Y * _NOISE)])
+        found = lost.of_picture(Y)[inside].mean()
     return f"{math.sqrt(real):.2f} / {math.sqrt(found):.2f}"
 
 

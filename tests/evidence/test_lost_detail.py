@@ -51,7 +51,9 @@ def test_what_two_files_lose_alike_is_known_from_one(quality: int, noise: float)
     both = blocks_of(errors[0] * errors[1]).mean(axis=(1, 2))
     pixels = kept(texture(noise, 1), quality)[0]
     known = np.full(LEVELS, math.hypot(noise, 12**-0.5))
-    (detail,) = lost_details([blocks_of(pixels)], [known])
+    steps = quantisation([frequencies(blocks_of(pixels))])
+    assert steps is not None
+    (detail,) = lost_details([blocks_of(pixels)], steps, [known])
     found = detail.of_picture(pixels.astype(np.float32)).ravel()
     for some in (found >= 0, found > np.quantile(found, 0.8)):
         expected, real = (each[some].mean() + noise**2 for each in (found, both))
@@ -63,13 +65,11 @@ def test_steps_are_seen_in_the_pixels(quality: int) -> None:
     pixels, steps = kept(texture(0.7, 1), quality)
     found = quantisation([frequencies(blocks_of(pixels))])
     assert found is not None
-    assert np.abs(found / steps - 1).mean() < 0.15
-    low = np.add.outer(np.arange(SIDE), np.arange(SIDE)).ravel() < 4
-    low[0] = False
-    np.testing.assert_array_equal(found[low], steps[low])
+    # Those that no block shows are known from the others.
+    np.testing.assert_allclose(found[1:], steps[1:], rtol=0.04)
 
 
 def test_without_blocks_nothing_is_known() -> None:
     pixels = kept(texture(0.7, 1), 90)[0]
     for each in (texture(0.7, 1), pixels[3:-5, 2:-6]):
-        assert not lost_details([blocks_of(each)], [np.ones(LEVELS)])
+        assert quantisation([frequencies(blocks_of(each))]) is None
