@@ -37,9 +37,12 @@ _STEPS = 32
 #: Cells of the map of movement along the longer side of a picture, at most, and the least side of
 #: one, pixels.
 _MAP_SIDE, _LEAST_CELL = 160, 8
-#: Samples that are compared at a time: their residuals, 2 bytes each, fit a cache of 2 MB.  With
-#: half of them a tenth of the rows would be compared twice, as those around others.
-STRIP_SAMPLES = 1 << 19
+#: Samples of a frame that are read at a time.  With half of them, a tenth of the rows would be read
+#: twice, as those around others.
+STRIP_SAMPLES = 1 << 20
+#: Samples that are compared at a time: their residuals, 2 bytes each, and what is made of them fit
+#: a cache of 2 MB, and more areas than larger ones are saturated everywhere.
+_AREA_SAMPLES = 1 << 18
 
 Area = tuple[slice, slice]
 """Rows and columns of a part of a frame."""
@@ -86,14 +89,18 @@ class Marks:
         strips = [each for each in pairs if not each.has_spread]
         counts = dict.fromkeys(pairs, 0)
 
-        def compared(area: Area) -> list[int]:
-            """Return how many samples of some rows each pair compares."""
-            part, found = self.outer(area)[0], []
+        def compared(areas: list[Area]) -> list[int]:
+            """Return how many samples of areas of the same rows each pair compares."""
+            part, found = self.outer(areas[0])[0], []
             position, long = strips[0].short, rows(strips[0].short, part)
             for each in strips:
                 short = long if position == each.short else rows(each.short, part)
                 position, long = each.long, rows(each.long, part)
-                found.append(each.mark(area, short, long))
+                count = 0
+                for area in areas:
+                    columns = self.outer(area)[1]
+                    count += each.mark(area, short[:, columns], long[:, columns])
+                found.append(count)
             return found
 
         for numbers in in_threads(compared, self._strips()) if strips else ():
@@ -123,10 +130,19 @@ class Marks:
             spread = LightSpread.of(limits, pair, short[0], long[0], long[1])
             yield _FramePair(self, limits, spread, long[0].rows.dtype, long[1])
 
-    def _strips(self) -> list[Area]:
-        """Return the parts that are compared at a time, as rows and columns."""
-        (rows, columns), step = self.shape[:2], self._step
-        return [(slice(top, top + step), slice(0, columns)) for top in range(0, rows, step)]
+    def _strips(self) -> list[list[Area]]:
+        """Return the areas that are compared at a time, as rows and columns, strip by strip.
+
+        The marks of an area have whole bytes.
+        """
+        (rows, columns, channels), step = (*self.shape, 1)[:3], self._step
+        count = max(1, round(step * columns * channels / _AREA_SAMPLES))
+        across = -(-columns // (8 * count)) * 8
+        lefts = range(0, columns, across)
+        return [
+            [(slice(top, top + step), slice(left, left + across)) for left in lefts]
+            for top in range(0, rows, step)
+        ]
 
     def _parts(self) -> list[Area]:
         """Return likewise those of frames between which light spread.
@@ -134,7 +150,7 @@ class Marks:
         Charge flows along columns, so that a part has whole ones, and the marks of one whole bytes.
         """
         rows, columns, channels = (*self.shape, 1)[:3]
-        step = max(1, STRIP_SAMPLES // (rows * channels * 8 * self.cell)) * 8 * self.cell
+        step = max(1, _AREA_SAMPLES // (rows * channels * 8 * self.cell)) * 8 * self.cell
         return [(slice(0, rows), slice(left, left + step)) for left in range(0, columns, step)]
 
     def outer(self, area: Area) -> Area:
@@ -190,6 +206,8 @@ class _FramePair:
             short: `Marks.outer` of it in the shorter frame
             long: in the longer one
         """
+        if not self.has_spread and self._only_saturates(short, long):
+            return 0
         outer = self._total.outer(area)
         first = outer[0].start, outer[1].start
         inner = tuple(
@@ -213,6 +231,19 @@ class _FramePair:
         if spilled is not None:
             _pack(self._total.spilled, spilled[inner], area)
         return int(np.count_nonzero(comparable[inner]))
+
+    def _only_saturates(self, short: Pixels, long: Pixels) -> bool:
+        """Return whether the longer frame is saturated everywhere, and no sample contradicts that.
+
+        None of the shorter frame is darker then than what saturates the longer one: the residuals
+        are 0.
+        """
+        if long.min() < self._limits.pair.saturated:
+            return False
+        low, (lights, means) = self._limits.low, self._tables
+        darkest, white = short.min(), min(self._limits.pair.saturated, low.shape[1] - 1)
+        is_as_bright = bool((lights[:, darkest] >= means[:, white]).all())
+        return is_as_bright and bool((low[:, white] <= darkest).all())
 
     def _outside(
         self, short: Pixels, long: Pixels, residuals: _Levels | None, first: tuple[int, int]

@@ -165,17 +165,16 @@ def _movement(marks: Marks, pairs: Sequence[Pair], frame_rows: FrameRows) -> Mov
 def _cell_counts(marks: Packed, shape: tuple[int, ...], cell: int) -> NDArray[np.float64]:
     """Return the marks in each cell, of all colours."""
     rows, columns, channels = (*shape, 1)[:3]
-    edges = np.arange(0, columns, cell)
-    counts = np.zeros((-(-rows // cell), edges.size))
+    down, across = -(-rows // cell), -(-columns // cell)
+    counts = np.zeros((down, across))
     step = max(1, STRIP_SAMPLES // (columns * channels * cell)) * cell
     for start in range(0, rows, step):
         packed = marks[start : start + step]
-        if not packed.any():
-            continue
-        part = np.unpackbits(packed, axis=1, count=columns * channels)
-        sums = np.add.reduceat(part, edges * channels, axis=1, dtype=np.int64)
-        cells = np.add.reduceat(sums, np.arange(0, len(part), cell), axis=0)
-        counts[start // cell :][: len(cells)] = cells
+        row, byte = np.unravel_index(np.flatnonzero(packed), packed.shape)
+        some, bit = np.nonzero(np.unpackbits(packed[row, byte, np.newaxis], axis=1))
+        cells = row[some] // cell * across + (8 * byte[some] + bit) // (channels * cell)
+        there = counts[start // cell : (start + step) // cell]
+        there += np.bincount(cells, minlength=there.size).reshape(there.shape)
     return counts
 
 

@@ -266,20 +266,22 @@ def _mostly(marks: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _connected_runs(found: NDArray[np.bool_], source: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return which pixels found are connected to a source along their column."""
-    rows, columns = found.shape
-    # One column after the other, with a free place after each, and one before the first.
-    lines = np.zeros((2, 1 + columns * (rows + 1)), np.bool_)
-    for line, marks in zip(lines, (found, source), strict=True):
-        line[1:].reshape(columns, rows + 1)[:, :-1] = marks.T
-    places, is_source = np.flatnonzero(lines[0]), lines[1]
+    rows = len(found)
+    row, column = np.unravel_index(np.flatnonzero(found), found.shape)
+    # One column after the other, with a free place after each.
+    places = np.sort(column * (rows + 1) + row)
+    connected = np.zeros_like(found)
     if not places.size:
-        return np.zeros_like(found)
-    begins = np.flatnonzero(np.diff(places, prepend=-1) > 1)
+        return connected
+    column, row = np.divmod(places, rows + 1)
+    begins = np.flatnonzero(np.diff(places, prepend=-2) > 1)
     ends = np.append(begins[1:], places.size) - 1
-    has_source = np.logical_or.reduceat(is_source[places], begins)
-    has_source |= is_source[places[begins] - 1] | is_source[places[ends] + 1]
-    lines[0, places] = np.repeat(has_source, ends - begins + 1)
-    return np.asarray(lines[0, 1:].reshape(columns, rows + 1)[:, :-1].T)
+    has_source = np.logical_or.reduceat(source[row, column], begins)
+    has_source |= source[np.maximum(row[begins] - 1, 0), column[begins]]
+    has_source |= source[np.minimum(row[ends] + 1, rows - 1), column[ends]]
+    chosen = np.repeat(has_source, ends - begins + 1)
+    connected[row[chosen], column[chosen]] = True
+    return connected
 
 
 def _reach(found: NDArray[np.bool_], source: NDArray[np.bool_], least: float) -> int:
@@ -290,16 +292,15 @@ def _reach(found: NDArray[np.bool_], source: NDArray[np.bool_], least: float) ->
     """
     within, rates = source, []
     for distance in _DISTANCES:
-        reached = dilated(source.astype(np.uint8), (2 * distance + 1, 1)) > 0
+        reached = dilated(source.view(np.uint8), (2 * distance + 1, 1)).view(np.bool_)
         ring = reached & ~within
         size = np.count_nonzero(ring)
         rates.append(np.count_nonzero(found & ring) / size if size >= _RING_SAMPLES else np.nan)
+        if len(rates) == 2 and not max(rates) >= least:
+            return 0
         within = reached
-    most = max(rates[:2])
-    if not most >= least:
-        return 0
     for nearer, rate in zip(_DISTANCES[:-1], rates[1:], strict=True):
-        if rate <= _ENDS * most:
+        if rate <= _ENDS * max(rates[:2]):
             return nearer
     return 0
 

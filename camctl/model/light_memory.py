@@ -113,7 +113,7 @@ class LightMemory:
             part = entries[start : start + _BLOCK]
             part["key"] = key = self._combined([each[start : start + _BLOCK] for each in here])
             places = self._places(key)
-            places[keys.take(places) > 1] ^= 1
+            places[keys[places] > 1] ^= 1  # `take` would copy all keys
             self._known[places] = part  # of several the last one
 
     def _find(

@@ -29,14 +29,14 @@ from camctl.pictures.metadata import (
 )
 from camctl.pictures.preview import renditions
 from camctl.pictures.preview_light import PREVIEW_SIDE, LightReducer
-from camctl.pictures.render import Rendering, Strip, as_halves
+from camctl.pictures.render import Rendering, Strip
 from camctl.stills import maps
 from camctl.stills.separate import map_apart
 from camctl.system.files import atomic_file, storage_error, write_bytes
 from camctl.system.input_files import check_regular, read_own_file
 from camctl.system.interrupts import uninterrupted
 from camctl.system.library_output import quiet_libraries
-from camctl.system.picture_operations import looked_up, opencv, png
+from camctl.system.picture_operations import as_halves, looked_up, opencv, png
 from camctl.system.threads import THREADS, Threads, in_threads
 
 #: Several threads compress the radiance of a picture of at least so many pixels.
@@ -318,13 +318,6 @@ def _exr_header(
     }
 
 
-def _stored(*, halves: bool, negative: bool) -> Callable[[NDArray[np.float32]], NDArray[Any]]:
-    """Return what makes a channel of the file of float32; `negative`: some of it may be."""
-    if not halves:
-        return np.ascontiguousarray
-    return (lambda values: values.astype(np.float16)) if negative else as_halves
-
-
 class _RadianceFile:
     """An OpenEXR file written strip by strip.
 
@@ -341,8 +334,8 @@ class _RadianceFile:
         self._names, self._final = rendering.channels, final
         lights, deviations = rendering.lights_are_halves, rendering.deviations_are_halves
         header = _exr_header(size, self._names, lights, deviations)
-        self._light = _stored(halves=lights, negative=rendering.converts)
-        self._deviation = _stored(halves=deviations, negative=False)
+        self._light = as_halves if lights else np.ascontiguousarray
+        self._deviation = as_halves if deviations else np.ascontiguousarray
         # It takes bytes, too.  A str that is not UTF-8 ends the process, as does an exception in
         # the Python code that it calls.
         self._file = uninterrupted(OpenEXR.OutputFile)(os.fsencode(path), header)

@@ -92,9 +92,11 @@ def picture_with_gain_map(
     """
     channels = renditions.light.shape[2]
     # libultrahdr takes no grey base, but a grey gain map.
-    base = jpeg(np.dstack((renditions.codes,) * (3 // channels)), _QUALITY, full_colour=True)
+    codes = np.dstack((renditions.codes,) * (3 // channels))
+    base = jpeg(codes, _QUALITY, full_colour=channels > 1)
     shown = _decoded(cv2, base)[..., :channels]
-    linear = srgb_to_linear(shown / np.float32(255)).astype(np.float32)
+    every: NDArray[Any] = np.arange(256, dtype=np.float32)
+    linear = srgb_to_linear(every / np.float32(255)).astype(np.float32).take(shown)
     gains, codes = _gain_map(linear, renditions.light)
     grey = codes[..., 0] if codes.shape[-1] == 1 else codes
     coded = jpeg(grey, _GAIN_QUALITY, full_colour=True)

@@ -85,19 +85,26 @@ class LightReducer:
         """Take the next strip, from top to bottom."""
         # Noise that is not known counts as none, and light that may be saturated is not noise.
         deviation = tuple(
-            sd if np.isfinite(sd).all() else np.where(np.isfinite(sd), sd, np.float32(0))
+            sd if np.isfinite(sd.max()) else np.where(np.isfinite(sd), sd, np.float32(0))
             for sd in strip.deviation
         )
-        saturated = [(mask & SATURATED) != 0 for mask in strip.mask]
-        white = np.zeros_like(saturated[0])
-        if any(each.any() for each in saturated):
+        none = np.zeros(strip.mask[0].shape, np.bool_)
+        flags = [int(np.bitwise_or.reduce(mask, axis=None)) for mask in strip.mask]
+        saturated, dark = (
+            [
+                (mask & bit) != 0 if some & bit else none
+                for mask, some in zip(strip.mask, flags, strict=True)
+            ]
+            for bit in (SATURATED, DARK)
+        )
+        white = none
+        if any(some & SATURATED for some in flags):
             pairs = zip(saturated, deviation, strict=True)
             deviation = tuple(np.where(full, np.float32(0), sd) for full, sd in pairs)
             # The mask of a mosaic does not say which of its channels is saturated.
             white = reduce(np.minimum, strip.light) >= self._full
-        dark = _counts([(mask & DARK) != 0 for mask in strip.mask])
-        unlit = _counts([light <= 0 for light in strip.light])
-        parts = (*strip.light, *deviation, *saturated, dark, unlit, white)
+        unlit = [none if light.min() > 0 else light <= 0 for light in strip.light]
+        parts = (*strip.light, *deviation, *saturated, _counts(dark), _counts(unlit), white)
         if self._rest:
             missing = self._step - len(self._rest[0])
             pairs = zip(self._rest, parts, strict=True)

@@ -79,7 +79,7 @@ class NoiseFilter:
             return found
         irradiance = np.maximum(_windows(light.irradiance)[used], NO_LIGHT)
         noise = _windows(light.noise)[used]
-        usual = np.median(np.square(noise), axis=(0, 1))
+        usual = np.ones(1) if channels == 1 else np.median(np.square(noise), axis=(0, 1))
         if np.all(usual > 0):
             found = replace(found, weights=np.asarray(1 / usual / np.sum(1 / usual), np.float32))
         mean = np.log2(irradiance @ found.weights)

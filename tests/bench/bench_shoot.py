@@ -105,20 +105,20 @@ def shoot(megapixels: float, exposures: int, folder: str) -> None:
     begin = Threads.submit
 
     def submitted(pool: Any, work: Callable[..., Any], *args: Any) -> Any:
-        return begin(pool, clocks.wrapped(work, f"thread: {work.__qualname__}"), *args)
+        name = getattr(work, "func", work).__qualname__
+        return begin(pool, clocks.wrapped(work, f"thread: {name}"), *args)
 
     Threads.submit = submitted  # type: ignore[assignment]
     imported = time.process_time() - began
     arguments = ["shoot", "-n", str(exposures), "-O", f"size={columns}x{rows}", "-o", folder]
-    try:
-        main(arguments)
-    finally:
-        usage = resource.getrusage(resource.RUSAGE_SELF)
-        parts = {"import": imported, **clocks.spent}
-        total = usage.ru_utime + usage.ru_stime
-        parts["other"] = total - sum(parts.values())
-        measured = {"total": total, "peak_mb": usage.ru_maxrss / 1024, "parts": parts}
-        print("\n" + json.dumps(measured | {"peaks": clocks.peak_mb}))
+    if failed := main(arguments):
+        sys.exit(failed)
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    parts = {"import": imported, **clocks.spent}
+    total = usage.ru_utime + usage.ru_stime
+    parts["other"] = total - sum(parts.values())
+    measured = {"total": total, "peak_mb": usage.ru_maxrss / 1024, "parts": parts}
+    print("\n" + json.dumps(measured | {"peaks": clocks.peak_mb}))
 
 
 def main() -> None:

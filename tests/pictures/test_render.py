@@ -24,7 +24,6 @@ from camctl.pictures.render import (
     GOOD,
     SATURATED,
     Tables,
-    as_halves,
 )
 
 MOSAICS = [layout for layout in Layout if layout.is_mosaic]
@@ -141,14 +140,6 @@ def test_deviation_of_a_mosaic_counts_independent_errors() -> None:
     mosaic[2, 2] = np.nan
     for each in demosaic_deviation(mosaic, Layout.RGGB, 0):
         assert np.array_equal(np.isnan(each), around)
-
-
-def test_halves_are_those_of_numpy() -> None:
-    """Every float16 of at least 0, and what is between those below 2^-14."""
-    halves = np.arange(0x7C01, dtype=np.uint16).view(np.float16)
-    assert np.array_equal(as_halves(halves.astype(np.float32)), halves)
-    small = np.random.default_rng(0).uniform(0, 2.0**-14, 10000).astype(np.float32)
-    assert np.abs(as_halves(small) - small.astype(np.float64)).max() <= 2.0**-25
 
 
 @pytest.mark.parametrize(("count", "rows"), [(6, 64), (64, 16)])

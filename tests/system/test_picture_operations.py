@@ -158,6 +158,16 @@ def test_channels_apart_and_together(shape: tuple[int, ...], kind: Any) -> None:
         assert np.array_equal(again, picture.reshape(again.shape))
 
 
+def test_halves_are_those_of_numpy() -> None:
+    """Every float16, infinity and NaN included, and what is between those near 0."""
+    halves = np.arange(1 << 16, dtype=np.uint16).view(np.float16).reshape(256, 256)
+    small = random((100, 100)) * np.float32(2.0**-14)
+    for values in (halves.astype(np.float32), small, -small):
+        for found in both(lambda values=values: operations.as_halves(values)):  # type: ignore[misc]
+            assert found.dtype == np.float16
+            assert np.array_equal(found, values.astype(np.float16), equal_nan=True)
+
+
 @given(SHAPES, st.sampled_from([np.uint8, np.uint16, np.uint32]), st.integers(1, 3))
 def test_counts_of_levels(shape: tuple[int, ...], kind: Any, step: int) -> None:
     """Of contiguous pictures and of views, as the planes of a mosaic."""
