@@ -10,7 +10,7 @@ saturation does to a sample makes it darker.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -122,49 +122,61 @@ def _replace(
     light, deviation = found
     small, is_large = _small_errors(tables, errors, light)
     chosen = beside | is_large
-    scatter = np.zeros((2, chosen.size), np.float32)
+    scatter = np.zeros((2, *light.shape), np.float32)
     common = np.tile(small, (len(light), 1))
-    darkest = light.min(axis=0)
-
-    def join(cells: NDArray[np.intp], *, by_cell: bool) -> NDArray[np.intp]:
-        """Replace light of cells; return those that have no weights for all of a cell."""
-        rest = [cells[:0]]
-        # In blocks of similar light, more frames are saturated everywhere, and not looked at.
-        cells = cells[np.argsort(darkest[cells])]
-        for start in range(0, cells.size, _BLOCK // 4):
-            some = cells[start : start + _BLOCK // 4]
-            first = light.take(some, axis=1), deviation.take(some, axis=1), small.take(some)
-            joined, is_even = _joined(
-                tables,
-                [each.take(some, axis=1) for each in values],
-                errors.take(some, axis=1),
-                [each.take(some, axis=1) for each in hidden],
-                first,
-                by_cell=by_cell,
-            )
-            done = some
-            if by_cell and not is_even.all():
-                rest.append(some[~is_even])
-                done, joined = some[is_even], joined.of(is_even)
-                first = first[0], first[1][:, is_even], first[2]
-            light[:, done] = joined.light
-            deviation[:, done] = np.where(np.isnan(first[1]), np.nan, joined.own)
-            common[:, done] = joined.common
-            scatter[:, done] = joined.scatter
-        return np.concatenate(rest)
-
     top = tables.sensor.highest(None)
+
+    def join(places: NDArray[np.intp], *, by_cell: bool) -> NDArray[np.intp]:
+        """Replace light of cells or samples; return the cells that have no weights for all."""
+        shape = (4, -1) if by_cell else (-1,)
+
+        def here(plane: NDArray[Any]) -> NDArray[Any]:
+            return plane.reshape(shape).take(places, axis=-1)
+
+        seen, cells = [here(each) for each in values], places % chosen.size
+        order = _seeing(tables.exposures, seen, top)
+        joined, is_even = _joined(
+            tables,
+            {at: seen[at] for at in order},
+            {at: errors[at].take(cells) for at in order},
+            {at: here(hidden[at]) for at in order},
+            (here(light), here(deviation), here(common)),
+            by_cell=by_cell,
+        )
+        done = places
+        if by_cell and not is_even.all():
+            done, joined = places[is_even], joined.of(is_even)
+        for plane, each in zip((light, deviation, common, *scatter), joined, strict=True):
+            plane.reshape(shape)[..., done] = each
+        return places[~is_even] if by_cell else places[:0]
+
     mixed = np.zeros_like(chosen)
     for each, is_hidden in zip(values, hidden, strict=True):
         mixed |= is_hidden.any(axis=0) & ~(each > top).all(axis=0)
-    rest = join(np.flatnonzero(chosen & ~mixed), by_cell=True)
-    join(np.concatenate([rest, np.flatnonzero(chosen & mixed)]), by_cell=False)
+    whole = _alike(np.flatnonzero(chosen & ~mixed), light.min(axis=0), _BLOCK // 4)
+    rest = [join(each, by_cell=True) for each in whole]
+    cells = np.concatenate([*rest, np.flatnonzero(chosen & mixed)])
+    samples = (cells + chosen.size * np.arange(4)[:, np.newaxis]).ravel()
+    for some in _alike(samples, light.ravel(), _BLOCK):
+        join(some, by_cell=False)
     shape = chosen.size // columns, columns
-    measured, expected = (box_means(each.reshape(shape), _AROUND).ravel() for each in scatter)
+    measured, expected = (
+        box_means(each.reshape(shape), _AROUND).ravel() for each in scatter.sum(axis=1)
+    )
     ratio = np.sqrt((measured + _KNOWN) / (expected + _KNOWN))
     deviation *= np.where(chosen, ratio, np.float32(1))
     # Four times as fast as `np.hypot`; none of them is so small that its square vanishes.
     np.sqrt(np.square(deviation) + np.square(common), out=deviation)
+
+
+def _alike(places: NDArray[np.intp], light: Floats32, count: int) -> Iterator[NDArray[np.intp]]:
+    """Yield places, so many at a time, of about the same light.
+
+    More frames are saturated in all of them then, or show nothing, and are not looked at.
+    """
+    places = places[np.argsort(light[places])]
+    for start in range(0, places.size, count):
+        yield places[start : start + count]
 
 
 def _beside_saturated(
@@ -221,28 +233,29 @@ def _by_cells(plane: NDArray[Any]) -> NDArray[Any]:
 
 
 class _Joined(NamedTuple):
-    """The light of samples, (4, C).
+    """The light of samples, of cells (4, C) or (S,).
 
     Attributes:
         light: of them
         own: its standard deviation by what each frame has of its own; infinite where all may be
             saturated
         common: that by what frames have in common
-        scatter: sums over the samples of a cell, (2, C), of the squared differences of the frames
-            from the light, over their variance, and of what the noise makes of these
+        scatter: sum of the squared differences of the frames from the light, over their variance
+        expected: what the noise makes of that
     """
 
     light: Floats32
     own: Floats32
     common: Floats32
     scatter: Floats32
+    expected: Floats32
 
     def of(self, cells: NDArray[np.bool_]) -> _Joined:
         """Return those of some cells, (C,)."""
         return _Joined(*(each[:, cells] for each in self))
 
 
-def _seeing(exposures: NDArray[Any], values: Sequence[NDArray[Any]], top: np.float32) -> list[int]:
+def _seeing(exposures: NDArray[Any], values: Sequence[NDArray[Any]], top: int) -> list[int]:
     """Return the frames from the shortest to the last one in which a sample may count."""
     order: list[int] = np.argsort(exposures, kind="stable").tolist()
     seeing = [k for k, at in enumerate(order) if values[at].min() <= top]
@@ -252,9 +265,9 @@ def _seeing(exposures: NDArray[Any], values: Sequence[NDArray[Any]], top: np.flo
 @np.errstate(divide="ignore", invalid="ignore")
 def _joined(
     tables: LightTables,
-    values: Sequence[NDArray[Any]],
-    errors: NDArray[np.float32],
-    hidden: Sequence[NDArray[np.bool_]],
+    values: Mapping[int, NDArray[Any]],
+    errors: Mapping[int, NDArray[np.float32]],
+    hidden: Mapping[int, NDArray[np.bool_]],
     first: tuple[Floats32, Floats32, Floats32],
     *,
     by_cell: bool,
@@ -263,30 +276,33 @@ def _joined(
 
     Args:
         tables: of their colour
-        values: of each frame
-        errors: standard deviations of the errors that frames have in common, levels, (n, C)
+        values: of some frames, from the shortest to the longest, of cells (4, C) or samples (S,)
+        errors: standard deviations of the errors that frames have in common, levels, (C,) or (S,)
         hidden: whether another colour of the pixel is saturated
-        first: light and deviation without these errors, and what they add to it, (C,)
+        first: light and deviation without these errors, and what they add to it
         by_cell: with the noise of a cell's mean light, whose errors choose weights less
     """
     reach, top = np.float32(CLIPPING_SIGMAS), np.float32(tables.sensor.highest(None))
-    saturated = [each > top - reach * error for each, error in zip(values, errors, strict=True)]
-    order = _seeing(tables.exposures, values, top)
+    saturated = {at: each > top - reach * errors[at] for at, each in values.items()}
     light = first[0]
-    samples = {at: looked_up(tables.irradiance[at], values[at]) for at in order}
-    unseen = [dim | other for dim, other in zip(saturated, hidden, strict=True)]
+    samples = {at: looked_up(tables.irradiance[at], each) for at, each in values.items()}
+    unseen = {at: each | hidden[at] for at, each in saturated.items()}
     apart = _contradiction(tables, samples, values, errors, unseen)
-    is_dim, is_unseen = ([each.any() for each in marks] for marks in (saturated, unseen))
-    is_even = np.ones(light.shape[1], np.bool_)
+    is_dim, is_unseen = (
+        {at: bool(each.any()) for at, each in marks.items()} for marks in (saturated, unseen)
+    )
+    is_even = np.ones(light.shape[-1], np.bool_)
     for _ in range(1 if by_cell else _ROUNDS):
         bins = tables.bins(light.mean(axis=0) if by_cell else light)
         above, weights, own, shared, least, squares, count = np.zeros((7, *light.shape), np.float32)
-        for at in order:
-            sample, saturates = samples[at], np.float32(tables.sensor.full / tables.exposures[at])
+        for at, sample in samples.items():
+            counts = ~((values[at] > top) | tables.clipped[at].take(bins))
+            if not (is_unseen[at] or counts.any()):
+                continue
+            saturates = np.float32(tables.sensor.full / tables.exposures[at])
             noise = tables.variances[at].take(bins)
             error = errors[at] * tables.steps[at].take(bins)
             both = noise + np.square(error)
-            counts = ~((values[at] > top) | tables.clipped[at].take(bins))
             # Nothing is known, and these are not numbers, before the first frame that counts.
             mean = above / weights
             bright = mean > saturates / 4
@@ -306,10 +322,10 @@ def _joined(
             weight = counts / both
             if is_dim[at]:
                 some = np.nonzero(counts & saturated[at])
-                below = (tables.sensor.white - values[at][some]) / errors[at][some[1]]
+                here = [np.broadcast_to(each, light.shape)[some] for each in (errors[at], error)]
+                below = (tables.sensor.white - values[at][some]) / here[0]
                 others = mean[some], known[some], spread[some]
-                here = sample[some], np.broadcast_to(error, light.shape)[some]
-                weight[some] *= _chance_of_seeing(others, here, saturates, below)
+                weight[some] *= _chance_of_seeing(others, (sample[some], here[1]), saturates, below)
             weighted = weight * sample
             above += weighted
             squares += weighted * sample
@@ -326,10 +342,11 @@ def _joined(
     # Where frames contradict each other, their mean is no better than any of them.
     common = np.maximum(narrower * shared / total, apart / 2) + ~found * first[2]
     # What is saturated, the shortest frame says best.
-    missing = np.where(unseen[order[0]], np.float32(np.inf), first[1])
+    missing = np.where(next(iter(unseen.values())), np.float32(np.inf), first[1])
     deviation = np.where(found, np.asarray(narrower * np.sqrt(own) / total, np.float32), missing)
-    sums = np.stack([each.sum(axis=0) for each in (scatter, expected)])
-    return _Joined(light, deviation, common, sums), is_even & (found & (apart == 0)).all(axis=0)
+    deviation[np.isnan(first[1])] = np.nan
+    joined = _Joined(light, deviation, common, scatter, expected)
+    return joined, is_even & (found & (apart == 0)).all(axis=0)
 
 
 def _chance_of_seeing(
@@ -363,7 +380,7 @@ def _truncate(light: Floats32, spread: NDArray[Any], found: NDArray[np.bool_]) -
     """Replace light near 0 by its posterior mean above 0; return the factor of its deviation.
 
     Args:
-        light: of samples, (4, C)
+        light: of samples
         spread: standard deviation that it was weighted with
         found: whether frames show it
     """
@@ -379,9 +396,9 @@ def _truncate(light: Floats32, spread: NDArray[Any], found: NDArray[np.bool_]) -
 def _contradiction(
     tables: LightTables,
     samples: Mapping[int, Floats32],
-    values: Sequence[NDArray[Any]],
-    errors: NDArray[np.float32],
-    unseen: Sequence[NDArray[np.bool_]],
+    values: Mapping[int, NDArray[Any]],
+    errors: Mapping[int, NDArray[np.float32]],
+    unseen: Mapping[int, NDArray[np.bool_]],
 ) -> Floats32:
     """Return how far the light of frames is apart where they contradict each other, else 0.
 
@@ -392,14 +409,14 @@ def _contradiction(
     Args:
         tables: of the colour
         samples: light of some frames
-        values: of each frame
-        errors: standard deviations of the errors that frames have in common, levels, (n, C)
-        unseen: what may be saturated, of each frame
+        values: of these
+        errors: standard deviations of the errors that frames have in common, levels
+        unseen: what may be saturated
     """
     reach = np.float32(CLIPPING_SIGMAS)
     sensor = tables.sensor
     offset = (FILE_OFFSET / 255 * (sensor.white - sensor.black)) ** 2
-    shape = values[0].shape
+    shape = next(iter(samples.values())).shape
     low, brightest = (np.zeros(shape, np.float32) for _ in range(2))
     high, darkest = (np.full(shape, _BEYOND) for _ in range(2))
     for at, sample in samples.items():
