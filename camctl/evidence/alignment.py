@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import ModuleType
 
 import numpy as np
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from camctl.evidence.quantiles import NORMAL_MAD, student
 from camctl.evidence.ratio_check import significant_sigmas
 from camctl.model.sensor import JPEG_ERROR
-from camctl.system.picture_operations import level_counts, required_opencv
+from camctl.system.picture_operations import level_counts, looked_up, required_opencv
 
 #: Blocks along each side of a picture, and contour pixels of each that are compared at most.
 _BLOCKS, _POINTS = 8, 600
@@ -72,9 +72,10 @@ def displacement(short: _Floats, long: _Floats) -> _Vector | None:
     usable = cv2.erode(usable.astype(np.uint8), np.ones((reach, reach), np.uint8)) > 0
     sizes = _pyramid(cv2, blurred, template, usable)
     levels = [_Level.of(cv2, *size) for size in sizes]
-    if not all(level.is_valid.any() for level in levels):
+    if not all(level.beside.size for level in levels):
         return None
-    places = [np.zeros(2), _coarse(cv2, *sizes[-1]) * 2 ** (len(levels) - 1)]
+    coarse = _coarse(cv2, *sizes[-1]) * 2 ** (len(levels) - 1)
+    places = [np.zeros(2), coarse] if coarse.any() else [coarse]
     for power in range(len(levels) - 1, -1, -1):
         best = _best(
             levels[power], [_fitted(levels[power], place / 2**power, 2) for place in places]
@@ -91,7 +92,7 @@ def brightness_matched(short: _Floats, long: _Floats) -> tuple[_Floats, _Mask]:
     # Of equal ranks the middle: many pixels may be black in both.
     middle = ranks[1] - counts[1] / (2 * short.size)
     low = np.interp(middle, *_rising(ranks[0], np.arange(1, _RANKS + 1) / _RANKS))
-    return low.astype(np.float32)[indices[1]], long < 1 - JPEG_ERROR
+    return looked_up(low.astype(np.float32), indices[1]), long < 1 - JPEG_ERROR
 
 
 def _rising(ranks: _Vector, values: _Vector) -> tuple[_Vector, _Vector]:
@@ -118,16 +119,19 @@ def _coarse(cv2: ModuleType, image: _Floats, template: _Floats, usable: _Mask) -
     height, width = image.shape
     shape = cv2.getOptimalDFTSize(height * 3 // 2), cv2.getOptimalDFTSize(width * 3 // 2)
 
-    def transformed(values: _Floats) -> NDArray[np.complex128]:
-        return np.fft.rfft2(values, shape)
+    def transformed(values: _Floats) -> _Vector:
+        wide = np.zeros(shape)
+        wide[:height, :width] = values
+        return np.asarray(cv2.dft(wide))
 
     offset = float(image.mean())
     one, other = template - offset, image - offset
     ours = [transformed(mask * one**power) for power in range(3)]
-    theirs = [np.conj(transformed(other**power)) for power in range(3)]
+    theirs = [transformed(other**power) for power in range(3)]
 
     def sums(power: int, other_power: int) -> _Vector:
-        return np.asarray(np.fft.irfft2(ours[power] * theirs[other_power], shape))
+        product = cv2.mulSpectrums(ours[power], theirs[other_power], 0, conjB=True)
+        return np.asarray(cv2.dft(product, flags=cv2.DFT_INVERSE | cv2.DFT_SCALE))
 
     # At place d: the other shifted by -d.
     count = np.maximum(sums(0, 0), 1)
@@ -150,19 +154,23 @@ class _Level:
 
     Attributes:
         image: float32, (rows, columns)
-        x, y: coordinates of the contours from the centre, pixels, (blocks, points)
+        x, y: coordinates of the contours from the centre, pixels, (N,), in the order of brightness
         values: brightness of the template there
-        bins: which bin of brightness they are in
-        is_valid: whether they are to be compared
-        slopes: change of the template with (columns, rows, turn, growth), (blocks, points, 4)
+        starts: of the bins of brightness
+        beside: brightness minus the mean one of its bin
+        by_block: places of the points in the order of blocks
+        blocks: where each of these starts in that
+        slopes: change of the template with (columns, rows, turn, growth), (4, N)
     """
 
     image: _Floats
     x: _Floats
     y: _Floats
     values: _Floats
-    bins: NDArray[np.int32]
-    is_valid: NDArray[np.bool_]
+    starts: NDArray[np.intp]
+    beside: _Floats
+    by_block: NDArray[np.intp]
+    blocks: NDArray[np.intp]
     slopes: _Floats
 
     @classmethod
@@ -170,8 +178,10 @@ class _Level:
         """Return the pixels of each block at which the brightness changes most."""
         across = cv2.Sobel(template, cv2.CV_32F, 1, 0, scale=1 / 8)
         down = cv2.Sobel(template, cv2.CV_32F, 0, 1, scale=1 / 8)
-        steep = np.where(usable, across**2 + down**2, -1)
-        steep[[0, -1]] = steep[:, [0, -1]] = -1
+        steep = across * across
+        steep += down * down
+        steep *= usable
+        steep[[0, -1]] = steep[:, [0, -1]] = 0
         height, width = (length // _BLOCKS for length in steep.shape)
         blocks = steep[: _BLOCKS * height, : _BLOCKS * width]
         blocks = blocks.reshape(_BLOCKS, height, _BLOCKS, width)
@@ -179,42 +189,62 @@ class _Level:
         count = min(_POINTS, blocks.shape[1])
         places = np.argpartition(blocks, blocks.shape[1] - count, axis=1)[:, -count:]
         tops, lefts = np.divmod(np.arange(_BLOCKS**2)[:, None], _BLOCKS)
-        rows, columns = places // width + tops * height, places % width + lefts * width
+        points = (places // width + tops * height) * template.shape[1]
+        points += places % width + lefts * width
+        points = points[steep.take(points) > 0]
+        points = points[: points.size & ~1]  # `residuals` needs two lines
+        points = points[np.argsort(template.take(points))]
+        rows, columns = np.divmod(points, template.shape[1])
         x = np.asarray(columns - (template.shape[1] - 1) / 2, np.float32)
         y = np.asarray(rows - (template.shape[0] - 1) / 2, np.float32)
-        across, down, values = (each[rows, columns] for each in (across, down, template))
-        is_valid = steep[rows, columns] > 0
+        across, down, values = (each.take(points) for each in (across, down, template))
         half = max(template.shape) / 2
         turn, growth = (down * x - across * y) / half, (across * x + down * y) / half
-        edges = np.quantile(np.append(values[is_valid], 0), np.linspace(0, 1, _BINS + 1)[1:-1])
-        bins = np.searchsorted(edges, values).astype(np.int32)
-        found = cls(image, x, y, values, bins, is_valid, np.stack((across, down, turn, growth), -1))
-        for column in range(4):  # what a change of brightness explains is no displacement
-            found.slopes[..., column] = found.without_bins(found.slopes[..., column], is_valid)
-        return found
+        edges = values[points.size * np.arange(1, _BINS) // _BINS] if points.size else values
+        starts = np.unique(np.append(0, np.searchsorted(values, edges, "right")))
+        starts = starts[starts < points.size]
+        of_blocks = (rows // height * _BLOCKS + columns // width).astype(np.uint8)
+        by_block = np.argsort(of_blocks, kind="stable")
+        first = np.flatnonzero(np.diff(of_blocks[by_block].astype(int), prepend=-1))
+        found = cls(image, x, y, values, starts, values, by_block, first, values)
+        beside = values - found.repeated(found.sums(values) / found.counts)
+        found = replace(found, beside=beside)
+        slopes = np.stack((across, down, turn, growth))
+        # What a change of brightness explains is no displacement.
+        return replace(found, slopes=found.without_bins(slopes, np.ones_like(values)))
 
     @property
     def half(self) -> float:
         """Half the longer side, pixels."""
         return float(max(self.image.shape)) / 2
 
-    def without_bins(self, values: _Floats, used: _Mask) -> _Floats:
+    @property
+    def counts(self) -> NDArray[np.intp]:
+        """Points of each bin."""
+        return np.diff(self.starts, append=self.values.size)
+
+    def sums(self, values: _Floats) -> _Vector:
+        """Return the sum over each bin."""
+        return np.asarray(np.add.reduceat(values, self.starts, axis=-1, dtype=np.float64))
+
+    def repeated(self, of_bins: _Vector) -> _Floats:
+        """Return for each point what a bin has."""
+        return np.repeat(of_bins.astype(np.float32), self.counts, axis=-1)
+
+    def without_bins(self, values: _Floats, used: _Floats) -> _Floats:
         """Return values at the points minus their line over brightness in each bin of it.
 
-        The line is that of points that are used, of those that are to be compared.
+        The line is that of points that are used, 1, and not 0.  `values` may have more than one
+        line, (..., N).
         """
-        bins, size = self.bins.ravel(), _BINS + 1
-
-        def sums(each: _Floats) -> _Vector:
-            return np.bincount(bins, each.ravel(), size).astype(np.float64)
-
-        counts = np.maximum(np.bincount(self.bins[used], minlength=size), 1)
-        middle = (sums(used * self.values) / counts).astype(np.float32)
-        means = (sums(used * values) / counts).astype(np.float32)
-        beside = used * (self.values - middle[self.bins])
-        slopes = sums(beside * values) / np.maximum(sums(beside**2), 1e-12)
-        found = values - means[self.bins]
-        found -= slopes.astype(np.float32)[self.bins] * (self.values - middle[self.bins])
+        count = np.maximum(self.sums(used), 1)
+        beside, chosen = self.beside * used, values * used
+        middle, means = self.sums(beside) / count, self.sums(chosen) / count
+        spread = self.sums(beside * self.beside) - count * middle**2
+        slopes = self.sums(chosen * self.beside) - count * middle * means
+        slopes /= np.maximum(spread, 1e-12)
+        found = values - self.repeated(means - slopes * middle)
+        found -= self.repeated(slopes) * self.beside
         return np.asarray(found)
 
     def residuals(self, place: _Vector) -> _Residuals:
@@ -231,16 +261,26 @@ class _Level:
         y = self.y * np.float32(1 + growth) + self.x * np.float32(turn)
         x += np.float32(columns + (width - 1) / 2)
         y += np.float32(rows + (height - 1) / 2)
-        inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1) & self.is_valid
+        inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
         # Linear interpolation lessens the noise between pixels: what is displaced by a part of one
         # would fit better than what is at rest.
-        values = cv2.remap(self.image, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-        return self.without_bins(values - self.values, inside), inside
+        # OpenCV finds up to 32,767 values a line.
+        lines = x.reshape(2, -1), y.reshape(2, -1)
+        values = cv2.remap(self.image, *lines, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        difference = np.ravel(values) - self.values
+        return self.without_bins(difference, inside.astype(np.float32)), inside
+
+    def of_blocks(self, values: _Floats) -> _Vector:
+        """Return the sum over each block of the picture that has points."""
+        by_block = values.take(self.by_block)
+        return np.asarray(np.add.reduceat(by_block, self.blocks, dtype=np.float64))
 
 
 def _noise(residuals: _Floats, valid: _Mask) -> float:
     values = np.abs(residuals[valid])
-    return max(float(np.median(values)) / NORMAL_MAD if values.size else 0.0, _LEAST_NOISE)
+    middle = values.size // 2
+    median = float(np.partition(values, middle)[middle]) if values.size else 0.0
+    return max(median / NORMAL_MAD, _LEAST_NOISE)
 
 
 def _costs(compared: Sequence[_Residuals]) -> tuple[list[_Floats], _Mask]:
@@ -250,7 +290,7 @@ def _costs(compared: Sequence[_Residuals]) -> tuple[list[_Floats], _Mask]:
     """
     use = np.logical_and.reduce([valid for _, valid in compared])
     scale = _CAUCHY * min(_noise(residuals, use) for residuals, _ in compared)
-    return [np.where(use, np.log1p((each / scale) ** 2), 0) for each, _ in compared], use
+    return [np.log1p((each * use / scale) ** 2) for each, _ in compared], use
 
 
 def _best(level: _Level, fits: Sequence[_Fit]) -> _Fit:
@@ -270,15 +310,14 @@ class _Fit:
 def _fitted(level: _Level, start: _Vector, size: int) -> _Fit:
     """Return the displacement of the image that fits best from `start` on, of `size` numbers."""
     place = np.append(start, np.zeros(size - len(start)))
-    slopes = level.slopes.reshape(-1, 4)[:, :size]
+    slopes = level.slopes[:size]
     for _ in range(_STEPS):
         residuals, valid = level.residuals(place)
         noise = _noise(residuals, valid)
-        weights = np.where(valid, 1 / (1 + (residuals / (_CAUCHY * noise)) ** 2), 0).ravel()
-        weighted = slopes * weights[:, None]
-        matrix = (weighted.T @ slopes).astype(np.float64)
+        weighted = slopes * (valid / (1 + (residuals / (_CAUCHY * noise)) ** 2))
+        matrix = (weighted @ slopes.T).astype(np.float64)
         matrix += np.diag(np.diag(matrix) * 1e-6 + 1e-9)
-        step = np.linalg.solve(matrix, weighted.T @ residuals.ravel())
+        step = np.linalg.solve(matrix, weighted @ residuals)
         place = place - step
         errors = noise * np.sqrt(_ALIKE * np.diag(np.linalg.inv(matrix)))
         if (np.abs(step) < errors).all():
@@ -286,20 +325,23 @@ def _fitted(level: _Level, start: _Vector, size: int) -> _Fit:
     return _Fit(place, errors)
 
 
-def _is_better(before: _Residuals, after: _Residuals, tests: int, tried: int = 1) -> bool:
+def _is_better(
+    level: _Level, before: _Residuals, after: _Residuals, tests: int, tried: int = 1
+) -> bool:
     """Return whether the blocks of the picture fit better after than before, and not by chance.
 
     Their scatter holds what moved in some of them, and what neighbouring pixels have in common.
     Steps of a quantiser are alike in all blocks: they fit better by less than the noise explains.
 
     Args:
-        before: residuals of one place
+        level: whose residuals they are
+        before: those of one place
         after: of the other one
         tests: over which the significance level is divided
         tried: places of which the other one is the best
     """
     (still, moved), _ = _costs((before, after))
-    gains = (still - moved).sum(axis=1, dtype=np.float64)
+    gains = level.of_blocks(still - moved)
     gains = gains[gains != 0]  # of blocks that can be compared
     if gains.size < 2:
         return False
@@ -316,14 +358,16 @@ def _judged(level: _Level, fit: _Fit) -> _Vector | None:
     pairs = ((shifted, turned), (still, turned), (still, shifted))
     # The best of all shifts fits better than none by chance already.
     tried = math.ceil((2 * _LARGEST) ** 2 * level.image.size)
-    is_turned, is_either, is_shifted = (_is_better(*pair, len(pairs), tried) for pair in pairs)
+    is_turned, is_either, is_shifted = (
+        _is_better(level, *pair, len(pairs), tried) for pair in pairs
+    )
     if is_turned and is_either:
         return _inverse(_known(whole) / (1, 1, level.half, level.half))
     if is_shifted:
         return _inverse(np.append(_known(fit), (0, 0)))
     # It is at rest where displacements by the blur fit worse in all directions.
     moves = _BLUR * np.array(((1, 0), (-1, 0), (0, 1), (0, -1)))
-    is_at_rest = all(_is_better(level.residuals(move), still, 1) for move in moves)
+    is_at_rest = all(_is_better(level, level.residuals(move), still, 1) for move in moves)
     return np.zeros(4) if is_at_rest else None
 
 
