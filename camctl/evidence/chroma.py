@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 from camctl.evidence.patches import Patches
 from camctl.system.picture_operations import box_means
 
-#: Weights of red, green and blue in Y, and the range of Cb and of Cr as shares of that of B - Y and
-#: of R - Y (ITU-T T.871).
-_OF_Y, _OF_BLUE, _OF_RED = np.array((0.299, 0.587, 0.114), np.float32), 1.772, 1.402
+OF_Y = np.array((0.299, 0.587, 0.114), np.float32)
+"""Weights of red, green and blue in Y (ITU-T T.871)."""
+
+#: Range of Cb and of Cr as shares of that of B - Y and of R - Y (ITU-T T.871).
+_OF_BLUE, _OF_RED = 1.772, 1.402
 #: What one level squared of Cb and of Cr is in red, green and blue, levels squared.
 _GREEN = (_OF_BLUE * 0.114 / 0.587) ** 2, (_OF_RED * 0.299 / 0.587) ** 2
 _VARIANCES = np.array(((0, _GREEN[0], _OF_BLUE**2), (_OF_RED**2, _GREEN[1], 0)), np.float32)
@@ -109,11 +111,11 @@ def patch_brightness(patches: Patches) -> NDArray[np.float32]:
 
 def brightness(colours: Iterable[NDArray[Any]]) -> NDArray[np.float32]:
     """Return Y of red, green and blue, in the shape of each."""
-    weighted = (each * weight for each, weight in zip(colours, _OF_Y, strict=True))
+    weighted = (each * weight for each, weight in zip(colours, OF_Y, strict=True))
     return np.asarray(sum(weighted), np.float32)
 
 
-NOISE_OF_Y = float(np.sqrt(np.square(_OF_Y).sum()))
+NOISE_OF_Y = float(np.sqrt(np.square(OF_Y).sum()))
 """Noise of Y as a multiple of that of each colour."""
 
 

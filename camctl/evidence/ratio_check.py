@@ -20,9 +20,9 @@ SIGNIFICANCE = 0.01
 """Probability that noise alone makes a capture a finding of one kind, at most: it is divided over
 the tests of a capture (Bonferroni)."""
 
-#: Share that is most: of a picture, and of the compared samples that changed by one ratio where an
-#: exposure is wrong; with fewer, only parts of the picture disagree.
-_MOST = 0.5
+MOST = 0.5
+"""Share that is most: of a picture, and of the compared samples that changed by one ratio where an
+exposure is wrong; with fewer, only parts of the picture disagree."""
 
 #: Relative depth of the flicker of sodium and fluorescent lamps.  They change the whole picture, as
 #: a wrong exposure does.
@@ -79,7 +79,7 @@ class RatioCheck(ReportModel):
     @property
     def is_one_ratio(self) -> bool:
         """Whether most of what was compared changed by one ratio, and it is not a small thing."""
-        return self.moved <= _MOST and self.compared >= _SMALL_THING
+        return self.moved <= MOST and self.compared >= _SMALL_THING
 
     @property
     def is_of_whole_picture(self) -> bool:
@@ -99,7 +99,7 @@ class RatioCheck(ReportModel):
             return False
         if self.is_of_whole_picture and (exposures_exact or self.measured is not None):
             return True
-        return self.compared * self.contradicting > _MOST
+        return self.compared * self.contradicting > MOST
 
 
 def least_errors(checks: Sequence[RatioCheck | None]) -> list[float]:

@@ -7,8 +7,9 @@ and of the mean of 5 x 5, in which noise averages out and what neighbours share 
 Where the noise is known, the sensor model predicts the variance; one factor for the variance of
 samples and one for the variance of means hold what it lacks (lag, rows that differ).  Where it is
 unknown, as for photographs, variance and mean error are measured as functions of brightness in
-patches at rest: parts that `camctl.evidence.patches` finds are left out, and others lose their
-weight by iterated trimming.  Photographs have errors at edges besides: see `camctl.evidence.edges`.
+patches at rest: parts that `camctl.evidence.unknown_response` finds are left out, and others lose
+their weight by iterated trimming.  Photographs have errors at edges besides: see
+`camctl.evidence.edges`.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ from camctl.evidence.patch_errors import (
     fitted_model,
     fitted_tables,
 )
-from camctl.evidence.patches import Patches, moved_patches
+from camctl.evidence.patches import Patches
+from camctl.evidence.unknown_response import moved_patches
 from camctl.interface.camera import Pixels
 from camctl.model.noise import FrameNoise
 from camctl.model.sensor import JPEG_BLOCK_ERROR, RESPONSE_ERROR, Prediction, SensorModel

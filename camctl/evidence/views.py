@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.patch_errors import LEAST_PATCHES
-from camctl.evidence.patches import Patches, deviating_patches
+from camctl.evidence.patches import Patches
+from camctl.evidence.unknown_response import deviating_patches
 from camctl.findings import Finding
 from camctl.model.sensor import JPEG_ERROR
 

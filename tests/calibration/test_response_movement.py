@@ -13,7 +13,7 @@ from sampling import some
 from camctl.calibration.response.estimate import ResponseEstimate, estimate_response
 from camctl.calibration.response.series import Series
 from camctl.calibration.response.spill import SampleGrid
-from camctl.evidence.patches import moved_samples
+from camctl.evidence.unknown_response import moved_samples
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray
 
@@ -143,3 +143,17 @@ def test_samples_of_a_thing_are_found_at_any_depth_and_layout(layout: Layout) ->
     inside = moved[104 // scale : 156 // scale, 104 // scale : 196 // scale]
     assert inside.mean() > 0.9
     assert moved.mean() < 0.14  # of it 0.078 moved; the cells around it are left out, too
+
+
+def test_a_small_thing_is_found_and_what_jpeg_changes_of_a_steep_curve_is_not() -> None:
+    """One of 0.1 % of the picture; a file of quality 75 loses most of its colours."""
+
+    def steep(E: FloatArray) -> FloatArray:
+        return np.asarray(E**3)
+
+    for curve, quality, things in ((CURVES["film"], 95, {1: (0.001, 0.5)}), (steep, 75, {})):
+        frames = photographs(curve, (4.0, 8.0), quality, things)
+        short, long = (SampleGrid.of(frame, Layout.RGB).planes for frame in frames)
+        moved = moved_samples(short, long, 0, 255)
+        assert (moved is not None) == bool(things)
+        assert moved is None or 0.001 < moved.mean() < 0.01

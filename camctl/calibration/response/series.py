@@ -17,7 +17,8 @@ from camctl.calibration.refusals import check_size
 from camctl.calibration.response.matches import guess_exposures, neighbour_steps
 from camctl.calibration.response.spill import SampleGrid, grid_counts
 from camctl.errors import UsageError
-from camctl.evidence.patches import Patches, moved_samples, sample_patches
+from camctl.evidence.patches import Patches, sample_patches
+from camctl.evidence.unknown_response import moved_samples
 from camctl.findings import Finding
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray, linear_response
