@@ -165,15 +165,15 @@ class LightTables:
 
     def __init__(self, frames: FrameSet) -> None:
         self.sensor = sensor = SensorModel(frames.response, frames.black)
-        self._posterior = StepPosterior(frames, sensor)
+        self._frames, self._posterior = frames, StepPosterior(frames, sensor)
         self.exposures = exposures = np.array(frames.exposures)
         dark = np.array([each.dark_levels * sensor.level for each in frames.noise])
         light = (sensor.light - dark[:, np.newaxis]) / exposures[:, np.newaxis]
         self.irradiance: Floats32 = light.astype(np.float32)
         self._brightest = np.float32(sensor.full / exposures.min())
         step = float(np.min(sensor.gap[sensor.gap > 0])) / exposures.max()
-        bins = LightBins(2.0 ** np.floor(np.log2(step / 16)), float(self._brightest))
-        self.bins, self.lights = bins.of, bins.lights
+        self._bins = LightBins(2.0 ** np.floor(np.log2(step / 16)), float(self._brightest))
+        self.bins, self.lights = self._bins.of, self._bins.lights
         found = _Weights.at(frames, sensor, self.lights)
         self.weights: Floats32 = found.weight.astype(np.float32)
         self.deviation: Floats32 = found.deviation.astype(np.float32)
@@ -194,15 +194,20 @@ class LightTables:
         self._exact = lost | undithered.any(axis=0)
         sharp = (found.share > _DECISIVE) & (found.steps < _SHARP)
         self._sharp = sharp.any(axis=0) & self._exact
-        self._scores: StepScores | None = None
-        exact = np.flatnonzero(self._exact & ~self._sharp)
-        if exact.size:
-            # An octave more: what begins near the last of them may be brighter.
-            size = min(int(exact[-1]) + 1 + BINS_OF_OCTAVE, self.lights.size)
-            if StepScores.fits(frames, sensor, self.lights[:size]):
-                self._scores = StepScores(frames, sensor, bins, size)
         self._pattern = found.pattern.astype(np.float32)
         self._first = self.bins(light_of_sums(frames, sensor).astype(np.float32))
+
+    @cached_property
+    def _scores(self) -> StepScores | None:
+        """What finds the light of samples in steps; None: there are too many, or none needs it."""
+        exact = np.flatnonzero(self._exact & ~self._sharp)
+        if not exact.size:
+            return None
+        # An octave more: what begins near the last of them may be brighter.
+        size = min(int(exact[-1]) + 1 + BINS_OF_OCTAVE, self.lights.size)
+        if not StepScores.fits(self._frames, self.sensor, self.lights[:size]):
+            return None
+        return StepScores(self._frames, self.sensor, self._bins, size)
 
     @cached_property
     def steps(self) -> Floats32:
