@@ -330,15 +330,22 @@ def _pair(
     light, squared_step = sensor.light * full, np.square(sensor.gap * full)
     ratio = exposures[1] / exposures[0]
     predicted = light / ratio
-    before, after = (each.astype(np.intp) for each in samples)  # once, for all tables
-    short, long = light.take(before), predicted.take(after)
-    usable = np.maximum(before, after) <= sensor.highest(None)
+    usable = np.maximum(*samples) <= sensor.highest(None)
+    chosen = np.flatnonzero(np.count_nonzero(usable, axis=1) >= LEAST_USABLE * usable.shape[1])
+    usable = usable[chosen]
     count, counted = np.count_nonzero(usable, axis=1), usable.astype(np.float64)
 
     def mean(values: _Floats) -> _Floats:
         return np.asarray(np.einsum("ps,ps->p", values, counted) / np.maximum(count, 1))
 
+    long = predicted.take(samples[1][chosen])
     middle = mean(long)
+    lit = ratio * middle >= _LEAST_LEVEL
+    chosen, count, counted, long, middle = (
+        each[lit] for each in (chosen, count, counted, long, middle)
+    )
+    before, after = (each[chosen].astype(np.intp) for each in samples)  # once, for both tables
+    short = light.take(before)
     difference = short - long
     bias = mean(difference)
     spread = mean((difference - bias[:, None]) ** 2) * count / np.maximum(count - 1, 1)
@@ -351,8 +358,7 @@ def _pair(
     rounding = [mean(squared_step.take(each)) / 12 for each in (before, after)]
     # What moved, or has another exposure, is not of one light.
     error = TRIM * np.sqrt(spread / np.maximum(count, 1)) + np.sqrt(12 * rounding[0])
-    used = (count >= LEAST_USABLE * usable.shape[1]) & (ratio * middle >= _LEAST_LEVEL)
-    used &= np.abs(bias) <= error + MOST_BIAS * middle
+    used = np.abs(bias) <= error + MOST_BIAS * middle
     own = mean((long - middle[:, None]) ** 2)
     # Where the quantiser of the shorter frame is not dithered, its phase is hardly known.
     error = np.sqrt(own / np.maximum(count, 1) + rounding[0])
@@ -368,6 +374,6 @@ def _pair(
         ratio=np.full(middle.size, ratio),
         freedom=np.maximum(count - 1.0, 1.0),
         is_even=is_even,
-        is_plain=plain,
+        is_plain=plain[chosen],
     )
     return every.where(used)
