@@ -341,9 +341,8 @@ def _pair(
     long = predicted.take(samples[1][chosen])
     middle = mean(long)
     lit = ratio * middle >= _LEAST_LEVEL
-    chosen, count, counted, long, middle = (
-        each[lit] for each in (chosen, count, counted, long, middle)
-    )
+    chosen, count, counted = chosen[lit], count[lit], counted[lit]
+    long, middle = long[lit], middle[lit]
     before, after = (each[chosen].astype(np.intp) for each in samples)  # once, for both tables
     short = light.take(before)
     difference = short - long

@@ -12,19 +12,15 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any, Protocol, Self, TypeAlias, TypeVar, runtime_checkable
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, Protocol, Self, TypeVar, runtime_checkable
 
 from camctl.errors import CameraBusyError, CameraClosedError
 from camctl.interface.clock import Clock, check_cancelled
 from camctl.interface.controls import ExposureControls, ExposureSetting
+from camctl.interface.layout import Pixels as Pixels
 from camctl.system.interrupts import entering, uninterrupted
 
 AnswerT = TypeVar("AnswerT")
-
-Pixels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, Protocol
-
-from numpy.typing import NDArray
+from typing import Protocol
 
 from camctl.errors import DataError, RefusedSettingError, UsageError
 from camctl.findings import Finding
@@ -22,33 +20,10 @@ from camctl.interface.colour import CameraColour
 from camctl.interface.control_values import Choices as Choices
 from camctl.interface.control_values import Control as Control
 from camctl.interface.control_values import Steps as Steps
+from camctl.interface.layout import Layout as Layout
 from camctl.messages.plain import sentence
 from camctl.model.noise import FrameNoise, NoiseModel
 from camctl.model.response.camera import CameraResponse, linear_response
-
-
-class Layout(StrEnum):
-    """Pixel layout of a frame: monochrome, RGB, or the first four letters of a CFA pattern."""
-
-    MONO = "mono"
-    RGB = "rgb"
-    RGGB = "rggb"
-    GRBG = "grbg"
-    GBRG = "gbrg"
-    BGGR = "bggr"
-
-    @property
-    def is_mosaic(self) -> bool:
-        """Whether each pixel has one colour of a 2 x 2 Bayer pattern, named row by row."""
-        return self not in (Layout.MONO, Layout.RGB)
-
-    def planes(self, pixels: NDArray[Any]) -> list[NDArray[Any]]:
-        """Return views of a frame, one for each colour (the two greens of a mosaic apart)."""
-        if self is Layout.MONO:
-            return [pixels]
-        if self is Layout.RGB:
-            return [pixels[..., channel] for channel in range(3)]
-        return [pixels[row::2, column::2] for row in (0, 1) for column in (0, 1)]
 
 
 class ResponseOrigin(StrEnum):

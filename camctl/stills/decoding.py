@@ -14,21 +14,22 @@ import zlib
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import PurePath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import CameraProtocolError, UsageError
-from camctl.interface.camera import Pixels
 from camctl.interface.colour import BT709_PRIMARIES, D65, CameraColour, rgb_to_xyz
-from camctl.interface.controls import Layout
-from camctl.profiles.profile import StillRecord
+from camctl.interface.layout import Layout, Pixels
 from camctl.stills.colour import stated_colour
 from camctl.stills.exif import PNG, png_chunks
 from camctl.stills.jpeg import CUT_SHORT, JpegStructure
 from camctl.system.library_output import quiet_libraries, with_messages
 from camctl.system.picture_operations import required_opencv
+
+if TYPE_CHECKING:
+    from camctl.profiles.profile import StillRecord
 
 # The largest pictures of still cameras (medium format with pixel shift) have 400 million pixels.
 MAX_PIXELS = 1 << 29
@@ -89,6 +90,8 @@ class Still:
     @property
     def record(self) -> StillRecord:
         """Size, layout and levels of the file, as a camera's profile keeps them."""
+        from camctl.profiles.profile import StillRecord
+
         rows, columns = self.pixels.shape[:2]
         return StillRecord(
             rows=rows,

@@ -6,6 +6,7 @@ import contextlib
 import os
 import resource
 import struct
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -234,3 +235,10 @@ def test_a_copy_of_the_process_asks_decoders_of_its_own(tmp_path: Path) -> None:
         os._exit(status)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
     assert [each.process.pid for each in separate._free] == [own]
+
+
+def test_the_process_that_decodes_starts_without_the_models_of_records() -> None:
+    """They take as long to be imported as all that it needs."""
+    code = "import sys, camctl.stills.worker; print('pydantic' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"

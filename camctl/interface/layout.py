@@ -1,0 +1,35 @@
+"""The pixels of a frame, and their layout."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Pixels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+
+
+class Layout(StrEnum):
+    """Pixel layout of a frame: monochrome, RGB, or the first four letters of a CFA pattern."""
+
+    MONO = "mono"
+    RGB = "rgb"
+    RGGB = "rggb"
+    GRBG = "grbg"
+    GBRG = "gbrg"
+    BGGR = "bggr"
+
+    @property
+    def is_mosaic(self) -> bool:
+        """Whether each pixel has one colour of a 2 x 2 Bayer pattern, named row by row."""
+        return self not in (Layout.MONO, Layout.RGB)
+
+    def planes(self, pixels: NDArray[Any]) -> list[NDArray[Any]]:
+        """Return views of a frame, one for each colour (the two greens of a mosaic apart)."""
+        if self is Layout.MONO:
+            return [pixels]
+        if self is Layout.RGB:
+            return [pixels[..., channel] for channel in range(3)]
+        return [pixels[row::2, column::2] for row in (0, 1) for column in (0, 1)]
