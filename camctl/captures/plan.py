@@ -13,7 +13,7 @@ from camctl.captures.setting_findings import setting_findings
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.goal import AUTO, CaptureRequest
 from camctl.exposure.light import Light
-from camctl.exposure.noise import coarser
+from camctl.exposure.noise import DITHERS, coarser
 from camctl.exposure.objective import Objective
 from camctl.exposure.search.best import Search
 from camctl.exposure.search.front import SAME_LEVELS
@@ -90,6 +90,9 @@ def plan_for(
     objective, exposures = Objective(levels_wanted), controls.relative_exposures(settings)
     noise = None if controls.noise is None else controls.frame_noise(settings)
 
+    # Before the levels, which follow from the same table.
+    planned = None if light is None else planned_light(light, chosen, controls)
+
     def levels_of(some: Sequence[float]) -> float:
         """Return the effective levels of exposures, kept where there is a front."""
         if chosen.front is not None and noise is not None:
@@ -104,7 +107,6 @@ def plan_for(
         expected = replace(expected, effective_levels=levels)
     else:
         expected = evaluate(real, desired, exposures, objective=objective, noise=noise)
-    planned = None if light is None else planned_light(light, chosen, controls)
     plan = CapturePlan(
         response=request.response,
         dynamic_range=desired.dynamic_range,
@@ -169,7 +171,8 @@ def _dark_share(light: Light, end: float, chosen: Chosen, controls: ExposureCont
     """
     settings, irradiance = chosen.settings, light.irradiance / end
     camera = EffectiveCamera.of(controls.levels, relative_exposures(settings))
-    camera, noise = coarser(camera, controls.frame_noise(settings), dithers=0.0)
+    dithers = DITHERS if controls.levels.M <= _MOST_EXACT else 0.0
+    camera, noise = coarser(camera, controls.frame_noise(settings), dithers)
     posterior = posterior_of(camera, chosen.desired, noise)
     E = np.geomspace(irradiance[0], irradiance[-1], _NODES)
     dark = posterior.shares(E, sum_mask(posterior) == DARK)

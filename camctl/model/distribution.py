@@ -8,6 +8,7 @@ Frames are clipped at black and white, and the distributions of the frames are c
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import UsageError
+from camctl.model.convolution import LEAST_FOURIER, convolved
 from camctl.model.effective import EffectiveCamera
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import CameraResponse, FloatArray
@@ -43,9 +45,6 @@ _NORMAL_RISE = np.diff(_NORMAL_CDF)
 _LEAST_MERGED = 1.0
 """Noise in steps of the quantiser from which its phase no longer shows: frames with more of it, and
 away from black and white, have a normal sum (the mean of a step is exact to 1e-9 of a step)."""
-
-_LEAST_FOURIER = 32
-"""Sums from which a convolution is faster by Fourier transforms."""
 
 _MOST_TOGETHER = 1 << 16
 """Irradiances times frames that are looked at together: arrays of half a megabyte."""
@@ -154,6 +153,10 @@ class NoisySum:
         camera: the effective camera
         noise: noise of each frame, in the order of `camera.exposures`
 
+    Attributes:
+        frames: those that differ
+        counts: (F,) how many there are of each
+
     Raises:
         UsageError: there is not one noise for each exposure, or one is out of range
     """
@@ -161,10 +164,9 @@ class NoisySum:
     def __init__(self, camera: EffectiveCamera, noise: Sequence[FrameNoise]) -> None:
         check_noise(noise, len(camera.exposures))
         self.camera = camera
-        self.frames = [
-            NoisyFrame.of(camera.response, exposure, frame)
-            for exposure, frame in zip(camera.exposures, noise, strict=True)
-        ]
+        kinds = Counter(zip(camera.exposures, noise, strict=True))
+        self.frames = [NoisyFrame.of(camera.response, *kind) for kind in kinds]
+        self.counts = np.array(list(kinds.values()))
         self.black = sum(frame.black for frame in noise)
         self.top = camera.levels_total + self.black
 
@@ -176,7 +178,7 @@ class NoisySum:
         found = np.zeros(E.size, dtype=bool)
         for frame in self.frames:
             x, reach = frame.signal(E, 0.0), NORMAL_REACH * frame.deviation(E)
-            is_wide = 2 * reach > _LEAST_FOURIER * frame.step
+            is_wide = 2 * reach > LEAST_FOURIER * frame.step
             for end in frame.thresholds[[0, -1]] if frame.step else ():
                 found |= is_wide & (np.abs(x - end) < reach)
         return found
@@ -231,25 +233,27 @@ class NoisySum:
         dithered = np.minimum.reduceat(sigma, firsts, axis=1) >= _LEAST_MERGED * step
         merged = (width > 1) & unclipped & (step > 0) & dithered
         sizes = np.diff(np.append(firsts, E.size))
-        start = np.sum(low * np.repeat(width == 1, sizes, axis=1), axis=0)
+        start = self.counts @ (low * np.repeat(width == 1, sizes, axis=1))
         weight = np.repeat(merged, sizes, axis=1) / np.where(step > 0, step, 1.0)
         first = np.array([[frame.thresholds[0]] for frame in self.frames])
-        mean = np.sum((x - first) * weight + 0.5 * (weight > 0), axis=0)
-        variance = (
-            np.sum((sigma * weight) ** 2, axis=0) + np.repeat(merged.sum(axis=0) - 1, sizes) / 12
-        )
+        mean = self.counts @ ((x - first) * weight + 0.5 * (weight > 0))
+        variance = self.counts @ (sigma * weight) ** 2
+        variance += np.repeat(self.counts @ merged - 1, sizes) / 12
         for part, begin in enumerate(firsts.tolist()):
             q = slice(begin, begin + int(sizes[part]))
-            at, found = start[q], [np.ones((1, int(sizes[part])))]
+            at, found, counts = start[q], [np.ones((1, int(sizes[part])))], [1]
             for frame in np.flatnonzero((width[:, part] > 1) & ~merged[:, part]).tolist():
                 ends = low[frame, q], high[frame, q]
                 found.append(self._single(frame, x[frame, q], sigma[frame, q], *ends))
-                at = at + low[frame, q]
+                counts.append(int(self.counts[frame]))
+                at = at + counts[-1] * low[frame, q]
             if merged[:, part].any():
                 least, single = _rounded_normal(mean[q], np.sqrt(variance[q]))
                 at = at + least
                 found.append(single)
-            yield at, _convolved(found)
+                counts.append(1)
+            least_sum, probability = convolved(found, counts)
+            yield at + least_sum, probability
 
     def _single(
         self,
@@ -276,39 +280,3 @@ def _rounded_normal(mean: FloatArray, sigma: FloatArray) -> tuple[NDArray[np.int
     edges = low - 0.5 + np.arange(size + 1)[:, np.newaxis]
     above = normal_cdf((mean - edges) / sigma)
     return low, above[:-1] - above[1:]
-
-
-def _convolved(parts: Sequence[FloatArray]) -> FloatArray:
-    """Return the convolutions of the columns of all, (W1 + W2 - 1 ..., Q) from (W, Q) each."""
-    narrow = sorted((each for each in parts if len(each) <= _LEAST_FOURIER), key=len)
-    wide = [each for each in parts if len(each) > _LEAST_FOURIER]
-    total = narrow.pop(0)
-    for each in narrow:
-        if len(total) > _LEAST_FOURIER:
-            wide.append(total)
-            total = each
-        else:
-            total = _added(total, each)
-    if not wide:
-        return total
-    if len(wide) == 1 and len(total) <= _LEAST_FOURIER:
-        return _added(wide[0], total)
-    size = len(total) + sum(len(each) - 1 for each in wide)
-    length = 1 << (size - 1).bit_length()
-    length = 3 * length // 4 if size <= 3 * length // 4 else length
-    product = np.fft.rfft(total, length, axis=0)
-    for each in wide:
-        product *= np.fft.rfft(each, length, axis=0)
-    return np.maximum(np.fft.irfft(product, length, axis=0)[:size], 0.0)
-
-
-def _added(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the convolutions of the columns, (V + W - 1, Q) from (V, Q) and (W, Q)."""
-    if len(b) > len(a):
-        a, b = b, a
-    if len(b) == 1:
-        return a * b
-    total = np.zeros((len(a) + len(b) - 1, a.shape[1]))
-    for shift, each in enumerate(b):
-        total[shift : shift + len(a)] += each * a
-    return total

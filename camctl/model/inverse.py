@@ -16,7 +16,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.model.distribution import NORMAL_REACH, NoisyFrame, NoisySum
+from camctl.model.distribution import NORMAL_REACH, NoisySum
 from camctl.model.effective import EffectiveCamera
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import FloatArray
@@ -162,7 +162,7 @@ class Posterior:
         E = np.unique(np.concatenate([levels, ends]))
         v = self._response.v(E)
         gap, middle = np.diff(v), (E[1:] + E[:-1]) / 2
-        noise = np.maximum(_deviation(frames, middle), 1e-300) * gap / np.diff(E)
+        noise = np.maximum(_deviation(self.sum, middle), 1e-300) * gap / np.diff(E)
         per_gap = int(np.clip(_MOST_CELLS // E.size, 1, _CELLS_PER_GAP))
         wide = gap > _WIDE_GAP * noise
         count = np.where(wide, float(per_gap), 0.0)  # 0 in a gap that v does not resolve
@@ -224,6 +224,8 @@ class Posterior:
     @cached_property
     def mse(self) -> float:
         """Mean square error of `Inverse.u` over the range, without the rest of the inverse."""
+        if "inverse" in vars(self):
+            return self.inverse.mse
         v, weight = self._nodes
         inside = (v > 0) & (v < 1)
         v, weight = v[inside], weight[inside]
@@ -323,12 +325,21 @@ def posterior_of(
     )
 
 
-def _deviation(frames: Sequence[NoisyFrame], E: FloatArray) -> FloatArray:
-    """Return the standard deviation of E by noise alone, from the frames not saturated at E."""
-    variance, slope = np.zeros(E.size), np.zeros(E.size)
-    for frame in frames:
-        x, sigma = frame.exposure * E, frame.deviation(E)
-        used = x < frame.thresholds[-1] + 4 * sigma
-        variance += np.where(used, sigma**2, 0.0)
-        slope += np.where(used, frame.exposure, 0.0)
-    return np.sqrt(variance) / np.where(slope > 0, slope, frames[0].exposure)
+def _deviation(total: NoisySum, E: FloatArray) -> FloatArray:
+    """Return the standard deviation of E by noise alone, from the frames not saturated at E.
+
+    A frame is left out where its mean is 4 deviations above white.
+    """
+    rows = []
+    for frame, count in zip(total.frames, total.counts.tolist(), strict=True):
+        photon = 1 / (frame.noise.electrons_per_level * frame.full)
+        read, white = (frame.noise.read_noise_levels / frame.full) ** 2, frame.thresholds[-1]
+        # Where (x - white)^2 = 16 (photon x + read).
+        last = white + 8 * photon + np.sqrt(64 * photon**2 + 16 * (photon * white + read))
+        rows.append((last / frame.exposure, count * frame.exposure, photon, count * read))
+    last, slope, photon, read = np.array(sorted(rows)).T
+    sums = np.cumsum(np.stack([slope, slope * photon, read])[:, ::-1], axis=1)[:, ::-1]
+    from_slope, from_photons, from_read = np.pad(sums, ((0, 0), (0, 1)))
+    used = np.searchsorted(last, E, "right")
+    slopes = np.where(used < last.size, from_slope[used], total.frames[0].exposure)
+    return np.asarray(np.sqrt(from_photons[used] * E + from_read[used]) / slopes)

@@ -149,6 +149,15 @@ def test_sets_that_an_adversary_found_are_found(
     assert Front(camera, desired, BASE_S).at_time(budget_s).levels >= least
 
 
+@pytest.mark.parametrize(("camera", "n", "least"), [(STREAM, 6, 159.0), (STEPPED_GAIN, 16, 159.5)])
+def test_a_given_number_over_a_large_range_is_not_only_traced(
+    camera: ExposureControls, n: int, least: float
+) -> None:
+    """Exchanges from the fastest set on, weight by weight, end at 158.3 and at 157.9 levels."""
+    front = Front(camera, desired_response("log", 2.0**14), BASE_S, request=CaptureRequest(count=n))
+    assert front.chosen.levels >= least
+
+
 def test_an_accuracy_is_reached_and_not_in_less_time() -> None:
     front = standard()
     point = front.at_accuracy(99.0)

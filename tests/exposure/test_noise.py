@@ -16,7 +16,7 @@ from camctl.exposure.noise import (
     noisy_effective_levels,
 )
 from camctl.exposure.robustness import sensitivity, shifted
-from camctl.model import distribution, inverse
+from camctl.model import convolution, distribution, inverse
 from camctl.model.distribution import NoisySum
 from camctl.model.effective import EffectiveCamera, effective_levels
 from camctl.model.inverse import Posterior, posterior_of
@@ -192,13 +192,13 @@ def test_few_irradiances_are_convolved_where_white_cuts_off_much_noise(
     noise = [FrameNoise(0.8, 3.0)] * 4
     posterior = Posterior(camera, LOG, noise)
     expected, sizes = posterior.mse, []
-    convolved = distribution._convolved
+    convolved = convolution.convolved
 
-    def counted(parts: Sequence[FloatArray]) -> FloatArray:
+    def counted(parts: Sequence[FloatArray], counts: Sequence[int]) -> tuple[int, FloatArray]:
         sizes.append(sum(sorted(each.size for each in parts)[:-1]))
-        return convolved(parts)
+        return convolved(parts, counts)
 
-    monkeypatch.setattr(distribution, "_convolved", counted)
+    monkeypatch.setattr(distribution, "convolved", counted)
     assert Posterior(camera, LOG, noise).mse == expected
     apart, sizes = sum(sizes), []
     monkeypatch.setattr(NoisySum, "clips_widely", lambda self, E: np.zeros(E.size, dtype=bool))

@@ -86,6 +86,7 @@ class DesignSearch(TunedSets):
         super().__init__(frames, base, counts)
         self._traced: list[list[Design]] = []  # for each weight
         self._numbered = 0  # of these with all numbers of frames
+        self._untraced: dict[int, Design] = {}
 
     @cached_property
     def _coarse(self) -> NDArray[np.float32]:
@@ -207,19 +208,44 @@ class DesignSearch(TunedSets):
             current = improved
         return current
 
-    @cached_property
+    @property
     def most_accurate(self) -> Design:
         """The set of least error, for which time is worth next to nothing."""
-        last = self.trace()[-1]
-        return self.tuned(self.exchanged(last, LEAST_WEIGHT), LEAST_WEIGHT)
+        return self._most_accurate[0]
+
+    @cached_property
+    def _most_accurate(self) -> list[Design]:
+        """It and, of a given number of frames, another one that is found in another way."""
+        last, (fewest, most) = self.trace()[-1], self.counts
+        found = self._shared_again(self.tuned(self.exchanged(last, LEAST_WEIGHT), LEAST_WEIGHT))
+        return sorted([found] if fewest < most else [found, self.untraced(most)], key=_mse)
 
     def of_count(self, n: int) -> Design:
         """Return the most accurate set of n frames, for which time is worth next to nothing."""
-        best = self.fastest(n)
-        for start in [best, *(each for each in self.trace(count=n) if each.n == n)]:
-            found = self.tuned(self.exchanged(start, LEAST_WEIGHT, sizes=False), LEAST_WEIGHT)
-            best = min(best, found, key=lambda each: each.mse)
-        return best
+        traced = [each for each in self.trace(count=n) if each.n == n]
+        return min([self.untraced(n), *map(self._tuned_number, traced)], key=_mse)
+
+    def untraced(self, n: int) -> Design:
+        """Return about the most accurate set of n frames, in a quarter of the time of a trace.
+
+        It begins with frames of equal ratios, and with frames added in turn.  With 12 presets, 3 to
+        64 frames and log 1:256 to 1:262,144, it has at most 1.2 % fewer levels by the estimate than
+        the better one of it and of the last traced set, which has up to 3.6 % fewer.
+        """
+        if n not in self._untraced:
+            starts = [self.filled(n)] if self.is_list else [self.filled(n), self.spaced(n)]
+            best = min(map(self._tuned_number, starts), key=_mse)
+            self._untraced[n] = self._shared_again(best)
+        return self._untraced[n]
+
+    def _shared_again(self, design: Design) -> Design:
+        """Return the most accurate set of as many frames, with gains shared in another way, too."""
+        shared = self._regained_together(design, design.time)
+        return design if shared is design else self._tuned_number(shared)
+
+    def _tuned_number(self, design: Design) -> Design:
+        """Return the most accurate set of as many frames that exchanges find."""
+        return self.tuned(self.exchanged(design, LEAST_WEIGHT, sizes=False), LEAST_WEIGHT)
 
     def within(self, limit: float) -> Design:
         """Return about the set of least error that takes `limit` at most, without the fixed time.
@@ -231,14 +257,16 @@ class DesignSearch(TunedSets):
     def roughly_within(self, limit: float) -> Design:
         """Return the better of the traced sets beside a time, scaled to it; it takes next to none.
 
-        `limit` is as for `within`.
+        `limit` is as for `within`.  Without one, a given number of frames is not traced.
         """
+        if math.isinf(limit) and self.counts[0] == self.counts[1]:
+            return self.untraced(self.counts[0])
         traced = self.trace(time=limit, rough=True)
         beside = [each for each in traced if each.time <= limit][-1:]
         beside += [each for each in traced if each.time > limit][:1]
         possible = [each for each in beside if self.least_time(each.n) <= limit * (1 + SAME)]
         starts = possible or [self.fastest(self.counts[0])]
-        return min((self.fitted(each, limit) for each in starts), key=lambda each: each.mse)
+        return min((self.fitted(each, limit) for each in starts), key=_mse)
 
     def several_within(self, limit: float, *, thorough: bool = True) -> list[Design]:
         """Return sets of little error that take `limit` at most, the best of each number of frames.
@@ -251,7 +279,7 @@ class DesignSearch(TunedSets):
         below = [each for each in traced if each.time <= limit]
         above = [each for each in traced if each.time > limit]
         if not above and self.most_accurate.time <= limit * (1 + SAME):
-            return [self.most_accurate]
+            return self._most_accurate
         starts = [self.fastest(self.counts[0])]
         for start in below[-2:] + above[:2]:
             if self.least_time(start.n) <= limit * (1 + SAME):
@@ -291,7 +319,7 @@ class DesignSearch(TunedSets):
                 if not trials:
                     break
                 fitted = (self.fitted(each, limit) for each in trials)
-                current = self.refitted(min(fitted, key=lambda each: each.mse), limit)
+                current = self.refitted(min(fitted, key=_mse), limit)
                 if not self.is_list:  # there it would change the number
                     current = self._improved(current, limit)
                 found.append(current)
@@ -323,11 +351,11 @@ class DesignSearch(TunedSets):
         if self.is_list or self.gains.size == 1 or design.n == 1:
             return design
         trials = (self.fitted(each, limit) for each in self._shared(design))
-        best = min(trials, key=lambda each: each.mse, default=design)
+        best = min(trials, key=_mse, default=design)
         best = self.refitted(best, limit)
         if best.mse < design.mse * NEAR_PATTERN:
             best = self._improved(best, limit)
-        return min(design, best, key=lambda each: each.mse)
+        return min(design, best, key=_mse)
 
     def _shared(self, design: Design) -> list[Design]:
         """Return sets of the same exposures with other gains, for each largest gain the best one.
@@ -435,7 +463,7 @@ def _some_of(n: int) -> NDArray[np.intp]:
 def _best_of_each(designs: Iterable[Design]) -> list[Design]:
     """Return the set of least error of each number of frames, the best first."""
     found = {each.n: each for each in sorted(designs, key=lambda each: -each.mse)}
-    return sorted(found.values(), key=lambda each: each.mse)
+    return sorted(found.values(), key=_mse)
 
 
 def _shares(n: int, gains: int) -> NDArray[np.intp]:
@@ -446,3 +474,7 @@ def _shares(n: int, gains: int) -> NDArray[np.intp]:
     places = [*range(0, n, step), n]
     rows = [(*ends, n) for ends in combinations_with_replacement(places, gains - 1)]
     return np.array(rows, dtype=np.intp)
+
+
+def _mse(design: Design) -> float:
+    return design.mse

@@ -225,13 +225,31 @@ class FrameSets:
 
     def fastest(self, n: int) -> Design:
         """Return the set of n frames of the least time; of equal times the most accurate."""
+        return self.filled(n, np.flatnonzero(self.cost <= self.cost.min() * (1 + SAME)))
+
+    def filled(self, n: int, options: NDArray[np.intp] | None = None) -> Design:
+        """Return the soonest shortest exposure and, one after the other, the best of options."""
+        if options is None:
+            options = np.arange(self.cost.size)
         first = self.bases[np.lexsort((self.gain[self.bases], self.cost[self.bases]))[:1]]
         chosen = self.design(self.log_exposure[first], self.gain[first])
-        quick = np.flatnonzero(self.cost <= self.cost.min() * (1 + SAME))
+        parts = self.parts[:, options]
         while chosen.n < n:
-            total = chosen.parts.sum(axis=1)[:, np.newaxis] + self.parts[:, quick]
-            chosen = self.changed(chosen, [int(quick[self.frames.mse(total).argmin()])], [])
+            total = chosen.parts.sum(axis=1)[:, np.newaxis] + parts
+            chosen = self.changed(chosen, [int(options[self.frames.mse(total).argmin()])], [])
         return chosen
+
+    def spaced(self, n: int) -> Design:
+        """Return n frames from the shortest exposure to the longest, at equal ratios.
+
+        All but the first have one gain, the one with which they are most accurate.
+        """
+        first, found = self.fastest(1), []
+        for gain in range(self.gains.size):
+            gains = np.append(first.gain, np.full(n - 1, gain))
+            low, high = self.limits(gains)
+            found.append(self.design(np.clip(np.linspace(0.0, high[-1], n), low, high), gains))
+        return min(found, key=lambda each: each.mse)
 
     def changed(self, design: Design, added: Sequence[int], removed: Sequence[int]) -> Design:
         """Return a set with some options added and some of its places removed."""

@@ -160,8 +160,11 @@ class AccurateSets:
         return self._roughly_rated(*min(both, key=lambda pair: pair[0].mse))
 
     def _roughly_rated(self, design: Design, search: DesignSearch) -> Rated:
-        """Return a set with its exact levels, or by the estimate where that errs smoothly."""
-        if self._is_smooth:
+        """Return a set with its exact levels, or by the estimate where that errs smoothly.
+
+        So it does for many frames, too.
+        """
+        if self._is_smooth or design.n > JUDGED_FRAMES:
             return Rated(search.shots(design), design.levels, design.time)
         return self.judge(search.shots(design))
 
@@ -334,14 +337,16 @@ class AccurateSets:
             return best
         log_exposure = np.log([shot.exposure for shot in best.shots])
         gain = np.searchsorted(search.gains, [shot.gain for shot in best.shots])
-        design, missed = search.design(log_exposure, gain), search.least_time(len(best.shots))
-        for _ in range(JUDGEMENTS):
-            middle = math.sqrt(max(missed, SAME) * best.time)
-            found = self.judge(search.shots(search.fitted(design, middle)))
-            if found.levels >= levels and found.time < best.time:
-                best = found
-            else:
-                missed = middle
+        design, rated = search.design(log_exposure, gain), best
+        low = search.least_time(len(best.shots))
+        for _ in range(CORRECTIONS):
+            time = search.time_of(design, levels * MIDDLE / rated.levels)
+            design = search.scaled(design, min(max(time, low), best.time))
+            rated = self.judge(search.shots(design))
+            if rated.levels >= levels and rated.time < best.time:
+                best = rated
+            if levels <= rated.levels <= levels * CLOSE:
+                break
         return best
 
     def _shortest(

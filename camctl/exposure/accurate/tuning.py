@@ -25,6 +25,9 @@ LONGEST_STEP = 0.4
 SHORTEST_STEP = 2e-3
 """Step in ln(exposure) from which the times are tuned: the error then changes by some 1e-6."""
 
+HALVINGS = 12
+"""Halvings of a factor of e between times: 1.00025 is left."""
+
 MAX_STEPS = 24
 """Newton steps of the times, at most: few frames converge in 3 to 6, 16 of them in about 20."""
 
@@ -184,10 +187,19 @@ class TunedSets(FrameSets):
         return max(LEAST_WEIGHT, math.log(design.mse / longer.mse) / change)
 
     def time_of(self, design: Design, factor: float) -> float:
-        """Return about the time in which such a set has `factor` times the levels."""
-        power = 2 * math.log(factor) / self.weight_of(design)
-        scale = math.exp(min(max(power, -1.0), 1.0))
-        return (design.time + self.costs.fixed) * scale - self.costs.fixed
+        """Return about the time in which such a set, scaled, has `factor` times the levels.
+
+        It is within a factor of e of the time that the set takes.
+        """
+        fixed, goal = self.costs.fixed, factor * design.levels
+        low, high = (0.0, 1.0) if factor > 1 else (-1.0, 0.0)
+        for _ in range(HALVINGS):
+            middle = (low + high) / 2
+            time = (design.time + fixed) * math.exp(middle) - fixed
+            low, high = (
+                (low, middle) if self.fitted(design, time).levels >= goal else (middle, high)
+            )
+        return (design.time + fixed) * math.exp(high) - fixed
 
     def scaled(self, design: Design, limit: float) -> Design:
         """Return the set with other times, tuned for a time, at the same gains."""
