@@ -31,6 +31,9 @@ _MAX_THREADS = 2  # measured, see `camctl.sim.noise.TILE`
 #: Plans that are kept: more than a capture has exposures.
 _PLANS = 64
 
+#: Effects whose change is another one in each frame of an exposure.
+_VARYING = tuple((effect, effect.varies) for effect in EFFECTS if effect.varies)
+
 TileWork = Callable[[Tile], None]
 
 
@@ -120,7 +123,7 @@ class Renderer:
 
         It is decided once for an exposure, as far as effects do not vary from frame to frame.
         """
-        varying = tuple(e.varies(shot) for e in EFFECTS if e.varies and e.present(shot))
+        varying = tuple(change(shot) for effect, change in _VARYING if effect.present(shot))
         key = (shot.time_s, shot.gain, shot.lag_ratio, share, varying)
         plan = self._plans.get(key)
         if plan is None:
