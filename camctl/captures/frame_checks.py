@@ -16,7 +16,7 @@ from camctl.evidence.damage import damaged_share
 from camctl.evidence.delay import ShotLog
 from camctl.evidence.light_ratio import MOST_CHANGE, FrameSample, NeighbourCheck
 from camctl.evidence.patches import Patches, patch_places
-from camctl.evidence.raster_damage import wrong_lines
+from camctl.evidence.raster_damage import is_wrong_alone, wrong_lines
 from camctl.evidence.ratio_check import RatioCheck
 from camctl.evidence.residual import Pair, Side
 from camctl.findings import Finding
@@ -225,7 +225,9 @@ class FrameChecks:
     def _with_wrong_lines(self) -> list[int]:
         """Return the positions of frames some lines of which were probably lost or shifted.
 
-        Where the response is only assumed, lines may contradict others by their brightness.
+        So is one that contradicts the frames beside it where they agree with each other: whatever
+        was in it alone, another frame is better.  Where the response is only assumed, lines may
+        contradict others by their brightness.
         """
         controls, samples = self._controls, self._check.samples(len(self._capture.frames))
         if self._check.scale.is_coarse or controls.response_origin is ResponseOrigin.ASSUMED:
@@ -240,6 +242,15 @@ class FrameChecks:
             ratio = exposures[other] / exposures[one]
             return wrong_lines((samples[one], samples[other]), ratio, self._check.scale, grid)
 
+        def is_alone(place: int) -> bool:
+            first = min(max(place - 1, 0), len(samples) - 3)
+            one, other = (k for k in range(first, first + 3) if k != place)
+            some = (samples[one], samples[place], samples[other])
+            ratios = (exposures[one], exposures[place], exposures[other])
+            return is_wrong_alone(some, ratios, self._check.scale)
+
+        if len(samples) > 2 and (alone := [k for k in range(len(samples)) if is_alone(k)]):
+            return alone
         wrong = [later for later in range(1, len(samples)) if differ(later - 1, later)]
         # Where the frames on both sides differ, too, something as wide as the picture moved.
         moved = {later for later in wrong if later + 1 in wrong and differ(later - 1, later + 1)}

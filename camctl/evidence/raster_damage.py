@@ -2,7 +2,8 @@
 
 A frame is sent line by line, so that what goes wrong is wrong in whole lines, from one side of the
 picture to the other, while the lines beside them fit the other frames.  A thing that moves covers
-a part of the width, and wrong exposures all lines.
+a part of the width, and wrong exposures all lines.  Of three frames the others agree with each
+other where one is wrong, however few contours show it.
 """
 
 from __future__ import annotations
@@ -42,12 +43,51 @@ def wrong_lines(
         sensor: the camera's
         grid: rows and columns of the patches of a colour; colours of other grids do not count
     """
+    contradicts, compared = _contradictions(pair, ratio, sensor)
+    return _are_lines(_by_line(contradicts, grid), _by_line(compared, grid))
+
+
+def is_wrong_alone(
+    frames: tuple[FrameSample, FrameSample, FrameSample],
+    exposures: tuple[float, float, float],
+    sensor: SensorModel,
+) -> bool:
+    """Return whether the second of three frames contradicts the others where these agree.
+
+    A thing that moves on, or a camera, is in another place in each frame: then the others disagree,
+    too.
+
+    Args:
+        frames: that were taken one after the other, in any order
+        exposures: of them
+        sensor: the camera's
+    """
+    first, second, third = (
+        _contradictions((one, other), ratio, sensor)
+        for one, other, ratio in (
+            (frames[0], frames[1], exposures[1] / exposures[0]),
+            (frames[1], frames[2], exposures[2] / exposures[1]),
+            (frames[0], frames[2], exposures[2] / exposures[0]),
+        )
+    )
+    wrong = (first[0] | second[0]) & third[1]
+    count = np.count_nonzero(wrong)
+    return bool(
+        count >= LEAST_PATCHES
+        and np.count_nonzero(third[0] & wrong) <= _RIGHT * count
+        and np.count_nonzero(first[0] & second[0] & wrong) > _RIGHT * count
+    )
+
+
+def _contradictions(
+    pair: tuple[FrameSample, FrameSample], ratio: float, sensor: SensorModel
+) -> tuple[_Marks, _Marks]:
+    """Return which patches of two frames contradict, and which can be compared."""
     one_low, one_high = _light(pair[0], sensor)
     low, high = (each / ratio for each in _light(pair[1], sensor))
     # Nothing is known of the light of a patch that is saturated in both, or dark in both.
     compared = (np.isfinite(one_high) | np.isfinite(high)) & ((one_low > 0) | (low > 0))
-    contradicts = compared & ((one_low > high) | (low > one_high))
-    return _are_lines(_by_line(contradicts, grid), _by_line(compared, grid))
+    return compared & ((one_low > high) | (low > one_high)), compared
 
 
 def _by_line(marks: _Marks, grid: tuple[int, int]) -> _Marks:
@@ -68,9 +108,14 @@ def _are_lines(contradicts: _Marks, compared: _Marks) -> bool:
     runs = np.count_nonzero(np.diff(wrong[seen].astype(np.int8), prepend=0, append=0)) // 2
     if wrong.sum() == seen.sum() or np.count_nonzero(between) > 2 * runs:
         return False
+    return _is_wide(contradicts[wrong], compared[wrong])
+
+
+def _is_wide(contradicts: _Marks, compared: _Marks) -> bool:
+    """Return whether many patches of some lines contradict, from one side to the other."""
     # From left to right, as many comparable patches in each part.
-    row, column = np.nonzero(compared[wrong])
-    marks = contradicts[wrong][row, column][np.argsort(column, kind="stable")]
+    row, column = np.nonzero(compared)
+    marks = contradicts[row, column][np.argsort(column, kind="stable")]
     parts = np.array_split(marks, _PARTS)
     is_wide = all(np.count_nonzero(part) > _RIGHT * part.size for part in parts)
     return is_wide and int(np.count_nonzero(marks)) >= LEAST_PATCHES

@@ -53,6 +53,16 @@ def test_each_fault_has_its_answer(run: Run, fault: str) -> None:
     assert lost == ([2] if fault in {"drop@1", "late@1=5"} else [])
 
 
+@pytest.mark.parametrize(("fault", "again"), [("double@1", 2), ("double@2", 3)])
+def test_a_frame_that_others_contradict_is_shot_again(run: Run, fault: str, again: int) -> None:
+    """Of the lines after those that came twice, only the contours contradict."""
+    exposures = ("--ratios", "1,8,64", "--base", "0.02")
+    ran = run("shoot", "-O", "size=320x240", "-O", f"faults={fault}", *exposures, "--json")
+    frames = ran.json["frames"]
+    assert [n for n, one in enumerate(frames, 1) if one.get("attempts", 1) > 1] == [again]
+    assert "places" not in ran.json["movement"]
+
+
 @pytest.mark.parametrize("fault", ["unplug@2", "freeze@2"])
 def test_a_camera_that_is_gone_leaves_frames_that_can_be_resumed(run: Run, fault: str) -> None:
     ran = shot(run, fault)

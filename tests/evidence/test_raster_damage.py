@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from camctl.evidence.light_ratio import NeighbourCheck
 from camctl.evidence.patches import patch_places
-from camctl.evidence.raster_damage import wrong_lines
+from camctl.evidence.raster_damage import is_wrong_alone, wrong_lines
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import ExposureSetting
 from camctl.sim.camera import SimulatedCamera
@@ -73,3 +74,34 @@ def test_a_thing_that_covers_half_of_the_width_is_no_line() -> None:
     frame = taken("tile-floor", "machine-vision")[1][1].copy()
     frame[100:180, :160] = np.roll(frame, 20, axis=1)[100:180, :160] // 2
     assert not found("tile-floor", "machine-vision", frame)
+
+
+def is_second_wrong(scene: str, sensor: str, changed: Callable[[list[Pixels]], None]) -> bool:
+    """Return whether the second of three frames is wrong alone, after `changed` has them."""
+    camera = SimulatedCamera(load_scene(scene, (240, 320)), load_sensor(sensor), seed=2)
+    first = settings(scene)
+    chosen = [*first, ExposureSetting(4 * first[1].time_s)]
+    frames, controls = [frame.pixels for frame in camera.shoot(chosen)], camera.controls
+    changed(frames)
+    check = NeighbourCheck(controls.levels, controls.black, controls.layout)
+    noise = controls.frame_noise(chosen)
+    one, other, last = (check.sample(*each) for each in zip(frames, noise, strict=True))
+    return is_wrong_alone((one, other, last), (1.0, 4.0, 16.0), check.scale)
+
+
+@pytest.mark.parametrize("kind", sorted(set(DAMAGES) - {"corrupt", "jpeg"}))
+@pytest.mark.parametrize("scene", ["tile-floor", "cloth"])
+def test_damage_of_one_frame_is_in_it_alone(kind: str, scene: str) -> None:
+    def damage(frames: list[Pixels]) -> None:
+        frames[1] = damaged(frames[1], kind, 0, 255)
+
+    assert is_second_wrong(scene, "standard", damage)
+
+
+@pytest.mark.parametrize("scene", ["tile-floor", "cloth", "moving-target", "night-street"])
+def test_what_is_at_rest_or_moves_on_is_in_no_frame_alone(scene: str) -> None:
+    def moved(frames: list[Pixels]) -> None:
+        frames[1:] = [np.roll(each, 4 * k, axis=(0, 1)) for k, each in enumerate(frames[1:], 1)]
+
+    assert not is_second_wrong(scene, "standard", lambda frames: None)
+    assert not is_second_wrong(scene, "standard", moved)
