@@ -221,8 +221,13 @@ def fitted_tables(part: PatchErrors, prediction: Prediction) -> Prediction:
 
 def weighted_median(values: _Floats, weights: _Floats) -> float:
     """Return the median of values, (N,), with weights >= 0; 0 of none."""
+    return weighted_quantile(values, weights, 0.5)
+
+
+def weighted_quantile(values: _Floats, weights: _Floats, share: float) -> float:
+    """Return the value below which values, (N,), have this share of all weights; 0 of none."""
     if not values.size:
         return 0.0
     order = np.argsort(values)
     total = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(total, total[-1] / 2)])
+    return float(values[order][int(np.searchsorted(total, total[-1] * share))])

@@ -2,9 +2,10 @@
 
 The fine structure of two photographs is compared within small patches, where it is the same
 whatever their exposures are: the brightness of the longer exposure is turned into that of the
-shorter one by equal ranks in their histograms, as in `camctl.evidence.alignment`, and
-correlated with it.  A thing that moved has other structure, too, but only in its place: of another
-view nearly all of the picture has another brightness, and of one out of focus none.
+shorter one by equal ranks in their histograms, as in `camctl.evidence.alignment`.  A photograph out
+of focus has less of the fine structure than of the coarse structure.  A thing that moved has other
+structure, and another brightness, but only in its place: of another view no part of the picture has
+the brightness of the others, but by chance.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.evidence.patch_errors import LEAST_PATCHES
+from camctl.evidence.patch_errors import LEAST_PATCHES, weighted_quantile
 from camctl.evidence.patches import Patches
+from camctl.evidence.ratio_check import MOST, SIGNIFICANCE
 from camctl.evidence.unknown_response import deviating_patches
 from camctl.findings import Finding
 from camctl.model.sensor import JPEG_ERROR
@@ -30,23 +32,10 @@ _BLACK = 0.01
 _POOLED = 2
 #: Standard deviation of the brightness within a patch that is structure, share of full scale.
 _STRUCTURE = 4 / 255
-#: Two photographs show the same if the median correlation of their patches is at least this.
-_SAME = 0.9
-#: They show different views if not even a quarter of them have this one: three quarters may have
-#: moved.
-_BEST_OF_OTHER = 0.75
-#: A photograph is less sharp if a brighter one has this factor of its contrast in three quarters of
-#: their patches, or a darker one in half of them.
+#: Of another view nothing rests, and of the same one at least half: the limit is in the middle.
+_LEAST_RESTING = MOST / 2
+#: Photographs are equally sharp up to this factor between their contrasts.
 _SHARPER = 1.15
-#: Where much is blurred, brightness deviates, too, but not even a quarter of the patches has the
-#: first correlation with a brighter photograph, or the second one with a darker one, whose noise
-#: makes it small: patches that no moving thing covers have it.
-_BEST_WITH_BRIGHTER, _BEST_WITH_DARKER = 0.9, 0.95
-#: Neighbouring patches that are one part of the picture, and how many of them can be compared.
-_PART, _OF_PART = 6, 4
-#: Share of the parts that have the expected brightness in another view, at most, and share of the
-#: patches that do not where only the sharpness differs.
-_AGREEING, _DEVIATING = 0.5, 0.03
 #: Each photograph is compared with so many of the next brightness.
 _NEXT = 4
 
@@ -57,39 +46,27 @@ class Likeness(NamedTuple):
     """How much the fine structure of a darker photograph resembles a brighter one.
 
     Attributes:
-        correlation: median over the patches
-        best: correlation that a quarter of them exceed
-        contrast: quartiles of the contrast of patches over their contrast in the brighter one
-        deviating: share of the patches that have another brightness than most; 0 where both show
-            the same
-        agreeing: share of the parts of the picture in which no patch has; likewise 1
+        common: contrast of the coarse structure of the brighter one that is in both, over that in
+            it, as most patches show it: 0 where they show different structure
+        sharpness: of the darker one over that of the brighter one, by the contrast of fine
+            structure over that of coarse structure, and by this where it is above 1; NaN where
+            patches that rest show none
+        resting: share of the picture that has the brightness of the other one, and not by chance
     """
 
-    correlation: float
-    best: float
-    contrast: tuple[float, float, float]
-    deviating: float
-    agreeing: float
+    common: float
+    sharpness: float
+    resting: float
 
     @property
     def is_same(self) -> bool:
-        """Whether both show the same, equally sharp."""
-        return self.correlation >= _SAME and self.contrast[1] <= _SHARPER
+        """Whether most of the picture rests, equally sharp."""
+        return self.resting > MOST and 1 / _SHARPER <= self.sharpness <= _SHARPER
 
     @property
     def is_other(self) -> bool:
-        """Whether they show different structure."""
-        return self.best < _BEST_OF_OTHER
-
-    @property
-    def is_darker_less_sharp(self) -> bool:
-        """Whether the darker one has less contrast all over it."""
-        return self.contrast[2] < 1 / _SHARPER and self.deviating < _DEVIATING
-
-    @property
-    def is_brighter_less_sharp(self) -> bool:
-        """Whether the brighter one has less contrast all over it."""
-        return self.contrast[1] > _SHARPER and self.deviating < _DEVIATING
+        """Whether they show another view, or another scene."""
+        return self.resting < _LEAST_RESTING
 
 
 Likenesses = dict[tuple[int, int], Likeness]
@@ -105,6 +82,8 @@ def likenesses(patches: Sequence[Patches], colours: int, black: int, white: int)
         black: brightness without light, DN
         white: brightness from which samples are saturated, DN
     """
+    if not patches or math.isqrt(patches[0].shape[1]) < 2 * _POOLED:
+        return {}  # too small to show structure
     order = sorted(range(len(patches)), key=lambda k: float(patches[k].mean()))
     planes = [
         [_Plane.of(plane, white) for plane in np.array_split(each, colours)] for each in patches
@@ -112,14 +91,51 @@ def likenesses(patches: Sequence[Patches], colours: int, black: int, white: int)
     found = {}
     for place, dark in enumerate(order):
         for bright in order[place + 1 : place + 1 + _NEXT]:
-            compared = [
-                _compared(*each, white) for each in zip(planes[dark], planes[bright], strict=True)
-            ]
-            deviations = partial(_deviations, patches[dark], patches[bright], colours, black, white)
-            alike = _likeness(np.concatenate(compared, axis=1), deviations)
-            if alike is not None:
-                found[dark, bright] = alike
+            contrasts = _Contrasts.of(planes[dark], planes[bright], white)
+            if contrasts.size < LEAST_PATCHES:
+                continue
+            alike = Likeness(contrasts.common(), contrasts.sharpness(), 1.0)
+            if not (contrasts.is_common() and alike.is_same):
+                deviates = partial(
+                    deviating_patches, patches[dark], colours=colours, black=black, white=white
+                )
+                moved = deviates(patches[bright])
+                resting = _resting(planes[dark], planes[bright], moved, deviates)
+                # Of patches that agree by chance the structure has nothing in common.
+                by_chance = max(1 - resting / (1 - moved.mean()), 0.0) if resting else 1.0
+                short, long = ([each.part(~moved) for each in planes[k]] for k in (dark, bright))
+                sharpness = _Contrasts.of(short, long, white).sharpness(by_chance)
+                alike = alike._replace(sharpness=sharpness, resting=resting)
+            found[dark, bright] = alike
     return found
+
+
+def _resting(
+    dark: Sequence[_Plane],
+    bright: Sequence[_Plane],
+    moved: NDArray[np.bool_],
+    deviates: Callable[[Patches], NDArray[np.bool_]],
+) -> float:
+    """Return the share of runs of patches in which none deviates, of as many as chance has not.
+
+    Args:
+        dark: planes of a photograph
+        bright: of a brighter one
+        moved: patches that deviate
+        deviates: returns the patches that deviate in the darker photograph from others
+    """
+    lit = np.any([each.is_lit for each in dark], axis=0)
+    unsaturated = np.any([each.is_unsaturated for each in bright], axis=0)
+    half = moved.size // 2
+    elsewhere = deviates(np.concatenate([np.roll(each.patches, half, axis=0) for each in bright]))
+    seen = elsewhere[lit & np.roll(unsaturated, half)]
+    chance = float(seen.mean()) if seen.size else 0.0
+    compared = moved[lit & unsaturated]
+    length = math.ceil(math.log(SIGNIFICANCE) / math.log1p(-chance)) if 0 < chance < 1 else 1
+    runs = compared.size // length
+    if not chance or not runs:
+        return 1.0
+    return 1 - float(compared[: runs * length].reshape(runs, length).any(axis=1).mean())
 
 
 def unlike_others(found: Likenesses, count: int) -> dict[int, Finding]:
@@ -127,24 +143,36 @@ def unlike_others(found: Likenesses, count: int) -> dict[int, Finding]:
 
     None does where it cannot be told which ones are right: more than half must be alike.
     """
-    alike = _largest_group(count, [pair for pair, each in found.items() if each.is_same])
-    if len(alike) <= count / 2:
-        return {}
     result = {}
     for k in range(count):
+        others = [pair for pair, each in found.items() if each.is_same and k not in pair]
+        alike = _largest_group(count, others)
         against = {pair: each for pair, each in found.items() if k in pair and alike & {*pair}}
-        if k in alike or not against:
+        if len(alike) <= count / 2 or not against:
             continue
-        agreeing = float(np.mean([each.agreeing for each in against.values()]))
-        if agreeing < _AGREEING and all(each.is_other for each in against.values()):
-            result[k] = Finding(code="other_view", frames=(k,), value=agreeing)
-        elif _is_less_sharp(k, against):
-            contrasts = (
-                each.contrast[1] if pair[0] == k else 1 / max(each.contrast[1], 1e-9)
-                for pair, each in against.items()
-            )
-            result[k] = Finding(code="blurred", frames=(k,), value=float(np.mean([*contrasts])))
+        common, resting = (
+            float(np.mean([getattr(each, name) for each in against.values()]))
+            for name in ("common", "resting")
+        )
+        sharpness = _sharpness(k, against)
+        if resting < _LEAST_RESTING and common < MOST:
+            result[k] = Finding(code="other_view", frames=(k,), value=max(resting, 0.0))
+        elif sharpness is not None and sharpness < 1 / _SHARPER:
+            result[k] = Finding(code="blurred", frames=(k,), value=sharpness)
     return result
+
+
+def _sharpness(k: int, against: Likenesses) -> float | None:
+    """Return the sharpness of photograph `k` over that of the others of its pairs, at most.
+
+    Brighter photographs decide where there are: in darker ones noise hides what they have more.
+    """
+    brighter = [each.sharpness for pair, each in against.items() if pair[0] == k]
+    darker = [each for pair, each in against.items() if pair[1] == k]
+    if brighter and any(each.is_same for each in darker):
+        return None
+    found = brighter or [1 / each.sharpness for each in darker]
+    return None if any(map(math.isnan, found)) else max(found)
 
 
 def unlike_each_other(found: Likenesses, count: int) -> tuple[int, int] | None:
@@ -154,30 +182,8 @@ def unlike_each_other(found: Likenesses, count: int) -> tuple[int, int] | None:
         return None
     # Those that have a part in common with one of a view show it, too, whatever moves in it.
     view = _largest_group(count, [pair for pair, each in found.items() if not each.is_other])
-    others = [
-        pair
-        for pair, each in found.items()
-        if each.agreeing < _AGREEING and len(view & {*pair}) < 2
-    ]
-    return min(others, key=lambda pair: found[pair].correlation, default=None)
-
-
-def _is_less_sharp(k: int, against: Likenesses) -> bool:
-    """Return whether photograph `k` is less sharp than the others of its pairs."""
-    if all(
-        each.is_darker_less_sharp if pair[0] == k else each.is_brighter_less_sharp
-        for pair, each in against.items()
-    ):
-        return True
-    brighter = [each for pair, each in against.items() if pair[0] == k]
-    darker = [each for pair, each in against.items() if pair[1] == k]
-    return (
-        bool(brighter)
-        and all(each.contrast[2] < 1 / _SHARPER for each in brighter)
-        and all(each.best < _BEST_WITH_BRIGHTER for each in brighter)
-        and all(each.best < _BEST_WITH_DARKER for each in darker)
-        and all(each.contrast[0] > 0 for each in against.values())
-    )
+    others = [pair for pair, each in found.items() if each.is_other and len(view & {*pair}) < 2]
+    return min(others, key=lambda pair: found[pair].resting, default=None)
 
 
 def _largest_group(count: int, links: Iterable[tuple[int, int]]) -> set[int]:
@@ -191,40 +197,6 @@ def _largest_group(count: int, links: Iterable[tuple[int, int]]) -> set[int]:
     return max(groups, key=len)
 
 
-def _likeness(compared: _Floats, deviations: Callable[[], tuple[float, float]]) -> Likeness | None:
-    """Return how much two photographs are alike; None: they show no fine structure in common.
-
-    Args:
-        compared: correlation and contrast of their patches, (2, patches)
-        deviations: returns the shares of what deviates in brightness, and of what does not
-    """
-    correlations, contrasts = compared
-    if correlations.size < LEAST_PATCHES:
-        return None
-    correlation, best = np.quantile(correlations, (0.5, 0.75)).tolist()
-    low, middle, high = np.quantile(contrasts, (0.25, 0.5, 0.75)).tolist()
-    alike = Likeness(correlation, best, (low, middle, high), 0.0, 1.0)
-    if alike.is_same and high >= 1 / _SHARPER:
-        return alike  # nothing is asked of the brightness of such a pair
-    deviating, agreeing = deviations()
-    return alike._replace(deviating=deviating, agreeing=agreeing)
-
-
-def _deviations(
-    dark: Patches, bright: Patches, colours: int, black: int, white: int
-) -> tuple[float, float]:
-    """Return the shares of patches that deviate, and of parts of the picture where none does."""
-    deviating = deviating_patches(dark, bright, colours, black, white)
-    means = [each.mean(axis=1).reshape(colours, -1).mean(axis=0) for each in (dark, bright)]
-    seen = (means[0] > black + _BLACK * (white - black)) & (means[1] < (1 - JPEG_ERROR) * white)
-    whole = seen.size - seen.size % _PART
-    parts = [(each & seen)[:whole].reshape(-1, _PART).sum(axis=1) for each in (seen, deviating)]
-    compared = parts[0] >= _OF_PART
-    agreeing = parts[1][compared] == 0
-    shares = [each.mean() if each.size else 0.0 for each in (deviating[seen], agreeing)]
-    return float(shares[0]), float(shares[1])
-
-
 @dataclass(frozen=True, eq=False)
 class _Plane:
     """Patches of one colour of a photograph, and what each of its comparisons needs.
@@ -234,13 +206,15 @@ class _Plane:
         is_lit, is_unsaturated: whether all samples of a patch are
         ranks: of each brightness, see `_ranks`
         structure: of each patch, see `_structure`
+        white: brightness from which samples are saturated, DN
     """
 
     patches: Patches
     is_lit: NDArray[np.bool_]
     is_unsaturated: NDArray[np.bool_]
     ranks: _Floats
-    structure: _Floats
+    structure: tuple[_Floats, _Floats]
+    white: int
 
     @classmethod
     def of(cls, patches: Patches, white: int) -> _Plane:
@@ -251,39 +225,96 @@ class _Plane:
             patches.max(axis=1) < (1 - JPEG_ERROR) * white,
             _ranks(patches, white),
             _structure(patches),
+            white,
         )
 
+    def part(self, kept: NDArray[np.bool_]) -> _Plane:
+        """Return some of the patches."""
+        return _Plane.of(self.patches[kept], self.white)
 
-def _compared(dark: _Plane, bright: _Plane, white: int) -> _Floats:
-    """Return correlation and contrast of each patch that has structure, (2, patches)."""
-    usable = bright.is_unsaturated & dark.is_lit
-    if not usable.any():
-        return np.empty((2, 0))
-    matched = np.interp(bright.ranks, dark.ranks, np.arange(white + 1))
-    seen, expected = dark.structure[usable], _structure(matched.take(bright.patches[usable]))
-    variances = [np.mean(each**2, axis=1) for each in (seen, expected)]
-    # Structure that only the darker one has may be its noise.
-    has = variances[1] > (_STRUCTURE * white) ** 2
-    common = np.mean(seen * expected, axis=1)[has]
-    of_seen, of_expected = (each[has] for each in variances)
-    size = np.sqrt(np.maximum(of_seen * of_expected, np.finfo(np.float64).tiny))
-    return np.array((common / size, common / of_expected))
+
+@dataclass(frozen=True, eq=False)
+class _Contrasts:
+    """Contrast of the patches of a photograph over that in a brighter one, by size of structure.
+
+    Attributes:
+        fine, coarse: of each patch that has such structure: the contrast, the variance of the
+            structure in the brighter photograph, and that in this one, (3, N)
+    """
+
+    fine: _Floats
+    coarse: _Floats
+
+    @classmethod
+    def of(cls, dark: Sequence[_Plane], bright: Sequence[_Plane], white: int) -> _Contrasts:
+        """Compare the planes of two photographs."""
+        found: list[list[_Floats]] = [[], []]
+        for short, long in zip(dark, bright, strict=True):
+            usable = np.flatnonzero(long.is_unsaturated & short.is_lit)
+            matched = np.interp(long.ranks, short.ranks, np.arange(white + 1))
+            expected = _structure(matched.take(long.patches[usable]))
+            for size, (one, other) in enumerate(zip(short.structure, expected, strict=True)):
+                variance = np.mean(other**2, axis=(1, 2, 3, 4))
+                # Structure that only the darker one has may be its noise.
+                has = variance > (_STRUCTURE * white) ** 2
+                seen = one[usable]
+                both, own = (np.mean(seen * each, axis=(1, 2, 3, 4)) for each in (other, seen))
+                found[size].append(np.array((both[has] / variance[has], variance[has], own[has])))
+        return cls(*(np.concatenate(size, axis=1) for size in found))
+
+    @property
+    def size(self) -> int:
+        """The least number of patches of a size of structure."""
+        return min(len(self.fine.T), len(self.coarse.T))
+
+    def common(self) -> float:
+        """Return the median contrast of coarse structure."""
+        return float(np.median(self.coarse[0]))
+
+    def is_common(self) -> bool:
+        """Return whether most of the variance of both is common to them, in most patches."""
+        shares = []
+        for contrast, variance, own in (self.fine, self.coarse):
+            explained = np.square(contrast) * variance / np.maximum(own, 1e-12)
+            shares.append(float(np.median(np.where(contrast > 0, explained, 0))))
+        return min(shares) > MOST
+
+    def sharpness(self, unlike: float = 0.0) -> float:
+        """Return the contrast of fine structure over that of coarse structure, of 1 at most.
+
+        Args:
+            unlike: share of the patches of which the structure has nothing in common, 0 to 1
+        """
+        if self.size < LEAST_PATCHES or not 0 <= unlike < 1:
+            return math.nan
+        # Noise is the smaller a part of the structure, the more of it there is.
+        fine, coarse = (
+            weighted_quantile(each[0], each[1], (1 + unlike) / 2)
+            for each in (self.fine, self.coarse)
+        )
+        more = max(self.common(), 1.0)
+        return max(fine, 0.0) / coarse * more if coarse > 0 else math.nan
 
 
 def _ranks(samples: Patches, white: int) -> _Floats:
     """Return the rank of each brightness among the samples, 0 to 1: the middle of equal ones."""
     counts = np.bincount(samples.ravel(), minlength=white + 1)
-    return (np.cumsum(counts) - counts / 2) / samples.size
+    return (np.cumsum(counts) - counts / 2) / max(samples.size, 1)
 
 
-def _structure(patches: NDArray[Any]) -> _Floats:
-    """Return means of small squares of each patch, without the mean of the patch."""
+def _structure(patches: NDArray[Any]) -> tuple[_Floats, _Floats]:
+    """Return means of small squares without those of large ones, and these without the patch's.
+
+    Both have the shape (patches, rows, small rows, columns, small columns) of squares.
+    """
     side = math.isqrt(patches.shape[1])
-    cut = side - side % _POOLED
+    count = side // (2 * _POOLED)
+    cut = 2 * _POOLED * count
     squares = patches.reshape(-1, side, side)[:, :cut, :cut]
-    small = np.zeros((len(squares), cut // _POOLED, cut // _POOLED))
+    small = np.zeros((len(squares), 2 * count, 2 * count))
     for row in range(_POOLED):
         for column in range(_POOLED):
             small += squares[:, row::_POOLED, column::_POOLED]
-    small = small.reshape(len(small), -1) / _POOLED**2
-    return np.asarray(small - small.mean(axis=1, keepdims=True))
+    small = small.reshape(-1, count, 2, count, 2) / _POOLED**2
+    large = small.mean(axis=(2, 4), keepdims=True)
+    return small - large, large - large.mean(axis=(1, 3), keepdims=True)
