@@ -12,7 +12,7 @@ objective.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,6 +79,7 @@ class BatchScore:
         self._is_table = isinstance(problem.desired, TabulatedDesired)
         dtype = np.float32 if small and not exact and not self._is_table else np.float64
         self._levels = problem.response.levels.astype(dtype)
+        self._log_levels = np.log(np.maximum(problem.response.levels, 1e-300)).astype(dtype)
         size = problem.n * M
         self._jitter_factors = problem.jitter_factors()
         # All of a table's knots divide the gaps, beside the levels.
@@ -91,6 +92,8 @@ class BatchScore:
             np.empty(shape, dtype),
         )
         self._tiny = dtype(1e-30)
+        # Merges the n sorted runs; by vector instructions float32 is sorted 2 to 4 times as fast.
+        self._sort: Literal["stable"] | None = None if dtype == np.float32 else "stable"
         each = SECONDS_A_LEVEL[_formula(problem)][0 if dtype == np.float32 else 1]
         self.seconds = each * problem.sorted_levels
 
@@ -115,14 +118,18 @@ class BatchScore:
     def _block(self, exposures: FloatArray) -> FloatArray:
         rows = len(exposures)
         edges = self._edges[:rows]
+        if self.problem.objective.kind == "levels":
+            rises = self._rises(exposures, edges)
+            cubes = np.einsum("ij,ij->i", rises * rises, rises)
+            return np.asarray(cubes, dtype=np.float64)
         edges[:, 0] = 0
         inverse = (1 / exposures).astype(edges.dtype)
         levels = edges[:, 1:-1].reshape(rows, self.problem.n, -1)
         np.multiply(self._levels, inverse[:, :, np.newaxis], out=levels)
         np.minimum(edges[:, 1:-1], 1, out=edges[:, 1:-1])
         edges[:, -1] = 1
-        edges.sort(axis=1, kind="stable")  # merges the n sorted runs: 3 to 10 times as fast
-        if self._is_table and self.problem.objective.kind == "xi":
+        edges.sort(axis=1, kind=self._sort)
+        if self._is_table:
             return self._divided(edges)
         e_min = edges.dtype.type(self._desired.e_min)
         row = np.arange(rows)
@@ -131,9 +138,6 @@ class BatchScore:
         high = edges[row, above].astype(np.float64)
         width = high - edges[row, above - 1].astype(np.float64)
         np.maximum(edges, e_min, out=edges)
-        if self.problem.objective.kind == "levels":
-            rise = self._rises(edges)
-            return np.asarray((rise * rise * rise).sum(axis=1), dtype=np.float64)
         missing = self._gaps(edges[:, :-1], edges[:, 1:], [work[:rows] for work in self._work])
         missing[row, above - 1] = self._straddling(high, width)
         return np.asarray(missing.sum(axis=1), dtype=np.float64)
@@ -169,20 +173,36 @@ class BatchScore:
         height *= length
         return np.asarray(height.sum(axis=1))
 
-    def _rises(self, edges: Work) -> Work:
-        """Return the difference of u between neighbouring edges from e_min on."""
-        desired, low, high = self._desired, edges[:, :-1], edges[:, 1:]
-        if isinstance(desired, LinearDesired):
-            rise = (high - low) / (1 - desired.e_min)
-        elif isinstance(desired, LogDesired):
-            # The edges are rounded as much as their ratio; log1p is three times as slow.
-            rise = np.log(high / low)
-            rise *= 1 / math.log(desired.dynamic_range)
-        elif isinstance(desired, GammaDesired) and desired.gamma == 0.5:
-            rise = np.diff(np.sqrt(edges), axis=1) / (1 - desired.e_min**0.5)
+    def _rises(self, exposures: FloatArray, edges: Work) -> Work:
+        """Return the differences of u between neighbouring levels in range, and its ends.
+
+        Args:
+            exposures: (B, n)
+            edges: (B, N + 2) to work in
+        """
+        desired, rows = self._desired, len(exposures)
+        levels = edges[:, 1:-1].reshape(rows, self.problem.n, -1)
+        if isinstance(desired, LogDesired):
+            # u has the distances of ln(light): nothing but the levels' own logarithms is needed.
+            shifts = np.log(exposures).astype(edges.dtype)
+            np.subtract(self._log_levels, shifts[:, :, np.newaxis], out=levels)
+            low, high, scale = math.log(desired.e_min), 0.0, 1 / math.log(desired.dynamic_range)
         else:
-            rise = np.diff(desired.u(edges), axis=1)
-        return np.asarray(rise)
+            inverse = (1 / exposures).astype(edges.dtype)
+            np.multiply(self._levels, inverse[:, :, np.newaxis], out=levels)
+            low, high, scale = desired.e_min, 1.0, 1.0
+        np.maximum(edges, low, out=edges)
+        np.minimum(edges, high, out=edges)
+        edges[:, 0], edges[:, -1] = low, high
+        edges[:, 1:-1].sort(axis=1, kind=self._sort)
+        if isinstance(desired, LinearDesired):
+            scale = 1 / (1 - desired.e_min)
+        elif isinstance(desired, GammaDesired) and desired.gamma == 0.5:
+            np.sqrt(edges, out=edges)
+            scale = 1 / (1 - desired.e_min**0.5)
+        elif not isinstance(desired, LogDesired):
+            edges = desired.u(edges)
+        return np.asarray(np.diff(edges, axis=1) * edges.dtype.type(scale))
 
     def _straddling(self, high: FloatArray, width: FloatArray) -> FloatArray:
         """Return the integral over the gap that contains e_min: of full width, from e_min on."""

@@ -53,13 +53,18 @@ def convolved(parts: Sequence[FloatArray], counts: Sequence[int]) -> tuple[int, 
     if _spread(parts, counts) < _SHORTER * high:
         low, high = _probable(parts, counts, high)
     size = high - low + 1
-    unit = max(1, 1 << (size.bit_length() - 3))
-    length = max(-(-size // unit) * unit, 2)  # 4 to 7 times a power of 2
+    length = even_length(size)
     product = np.ones((length // 2 + 1, parts[0].shape[1]), dtype=np.complex128)
     for part, count in zip(parts, counts, strict=True):
         product *= _power(_transformed(part, length), count)
     found = np.roll(np.fft.irfft(product, length, axis=0), -low, axis=0)[:size]
     return low, np.maximum(found, 0.0, out=found)
+
+
+def even_length(size: int) -> int:
+    """Return a length of a fast transform from a size on: 4 to 7 times a power of 2."""
+    unit = 1 << max(size.bit_length() - 3, 1)
+    return -(-size // unit) * unit
 
 
 def _spread(parts: Sequence[FloatArray], counts: Sequence[int]) -> float:

@@ -37,7 +37,7 @@ LONGER, TRIED, LAST = 6, 5, 2
 """Factor on that work for the best numbers of exposures; how many these are; and how many of them
 are improved for long."""
 
-EXCHANGES, MORE_EXCHANGES, MOST_EXCHANGED = 6, 30, 120_000
+EXCHANGES, MORE_EXCHANGES, MOST_EXCHANGED = 6, 60, 160_000
 """Exchanges of exposures for each of these numbers, more of them for the best ones, at most, and
 at most so many levels in all of these."""
 
