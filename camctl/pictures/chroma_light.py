@@ -288,9 +288,8 @@ def _joined(
     samples = {at: looked_up(tables.irradiance[at], each) for at, each in values.items()}
     unseen = {at: each | hidden[at] for at, each in saturated.items()}
     apart = _contradiction(tables, samples, values, errors, unseen)
-    is_dim, is_unseen = (
-        {at: bool(each.any()) for at, each in marks.items()} for marks in (saturated, unseen)
-    )
+    is_dim = {at: bool(each.any()) for at, each in saturated.items()}
+    is_unseen = {at: bool(each.any()) for at, each in unseen.items()}
     is_even = np.ones(light.shape[-1], np.bool_)
     for _ in range(1 if by_cell else _ROUNDS):
         bins = tables.bins(light.mean(axis=0) if by_cell else light)
@@ -322,10 +321,10 @@ def _joined(
             weight = counts / both
             if is_dim[at]:
                 some = np.nonzero(counts & saturated[at])
-                here = [np.broadcast_to(each, light.shape)[some] for each in (errors[at], error)]
-                below = (tables.sensor.white - values[at][some]) / here[0]
-                others = mean[some], known[some], spread[some]
-                weight[some] *= _chance_of_seeing(others, (sample[some], here[1]), saturates, below)
+                below = tables.sensor.white - values[at]
+                parts = (mean, known, spread, sample, error, below, errors[at])
+                shown = [np.broadcast_to(each, sample.shape)[some] for each in parts]
+                weight[some] *= _chance_of_seeing(shown, saturates)
             weighted = weight * sample
             above += weighted
             squares += weighted * sample
@@ -345,31 +344,24 @@ def _joined(
     missing = np.where(next(iter(unseen.values())), np.float32(np.inf), first[1])
     deviation = np.where(found, np.asarray(narrower * np.sqrt(own) / total, np.float32), missing)
     deviation[np.isnan(first[1])] = np.nan
-    joined = _Joined(light, deviation, common, scatter, expected)
-    return joined, is_even & (found & (apart == 0)).all(axis=0)
+    is_even &= (found & (apart == 0)).all(axis=0)
+    return _Joined(light, deviation, common, scatter, expected), is_even
 
 
-def _chance_of_seeing(
-    others: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
-    here: tuple[Floats32, Floats32],
-    saturates: np.float32,
-    below: NDArray[Any],
-) -> NDArray[Any]:
+def _chance_of_seeing(shown: Sequence[NDArray[Any]], saturates: np.float32) -> NDArray[Any]:
     """Return the probability that samples are not saturated and then made darker by their file.
 
     These are the likelihoods of both for what other frames show, a normal variable.
 
     Args:
-        others: light that other frames show, its standard deviation, that of its difference from
-            the samples
-        here: light of the samples, and the errors of their colours as light
+        shown: light that other frames show, its standard deviation, that of its difference from
+            the samples; light of these, and the errors of their colours as light; how many levels
+            they are below saturation, and the errors of their colours as levels
         saturates: light that saturates them
-        below: how far below saturation they are, over the errors of colours
     """
-    mean, known, spread = others
-    sample, error = here
+    mean, known, spread, sample, error, below, levels = shown
     is_above = normal_cdf(((mean - saturates) / known).astype(np.float64))
-    exponent = (np.square((sample - mean) / spread) - np.square(below)) / 2
+    exponent = (np.square((sample - mean) / spread) - np.square(below / levels)) / 2
     is_saturated = is_above * np.exp(np.minimum(exponent, _LARGEST_EXPONENT)) * spread
     # Where levels coincide, no error of colours is a difference of light.
     either = np.where(error > 0, error + is_saturated, 1)
