@@ -230,11 +230,13 @@ class Series:
         every = np.concatenate(
             [self.channel_patches(k, channel) for k in range(len(self.exposures))]
         )
-        levels = every.reshape(len(every), -1, math.isqrt(every.shape[1])).astype(np.float64)
-        if self.black or levels.shape[2] < 3:
+        side = math.isqrt(every.shape[1])
+        if self.black or side < 3:
             return 0.0
+        levels = every.reshape(len(every), -1, side).astype(np.float32)
         # Its variance is 1 + 4 + 1 times that of a sample.
-        variance = np.mean(np.square(np.diff(levels, 2, axis=2)), axis=(1, 2)) / 6
+        bends = levels[..., 2:] - 2 * levels[..., 1:-1] + levels[..., :-2]
+        variance = np.einsum("prs,prs->p", bends, bends) / (6 * bends[0].size)
         mean = every.mean(axis=1) - self.black
         edges = np.geomspace(1, self.white - self.black, _BANDS)
         band = np.searchsorted(edges, mean, side="right")
