@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from camctl.evidence.patch_errors import LEAST_USABLE, MOST_BIAS, TRIM
 from camctl.evidence.patch_noise import NoisePatches, VarianceModel, electrons_per_level
 from camctl.evidence.patches import Patches
+from camctl.model.block_rounding import BlockRounding
 from camctl.model.distribution import MAX_READ_NOISE
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Posterior
@@ -86,12 +87,14 @@ class NoiseFit(NamedTuple):
         freedom: number of independent differences of samples that were used
         compression_levels: standard deviation of what compression adds to brightness where there
             is contrast, levels of the response; even parts have next to none
+        contrast: of what a file makes of noise, see `BlockRounding`
     """
 
     noise: _Floats
     neighbours: list[_Floats]
     freedom: int
     compression_levels: float
+    contrast: float
 
 
 @dataclass(frozen=True)
@@ -118,7 +121,7 @@ class _Question:
         gains: Sequence[float],
     ) -> _Question:
         names = [each.name for each in fields(patches) if each.name not in ("is_even", "is_plain")]
-        digest = blake2b(repr((black, *gains)).encode())
+        digest = blake2b(repr((black, model.file, *gains)).encode())
         for each in (response.levels, *(getattr(patches, name) for name in names)):
             digest.update(np.ascontiguousarray(each).data)
         return cls(digest.digest(), patches, model)
@@ -138,13 +141,15 @@ def _fit(question: _Question) -> _Fit:
     # large by what quantisation adds: from too small a one, few patches would fit.
     each = patches.terms.sum(axis=0)
     start = float(np.median(patches.variance / each))
-    change = _SMALL_CHANGE * max(start, float(np.median(patches.quantisers / each)))
+    change = _SMALL_CHANGE * max(start, float(np.median(patches.quantisers.sum(axis=0) / each)))
     found, covariance = np.array([start, start]), np.zeros((2, 2))
     for _ in range(_ROUNDS):
         table = model.tables(found)
         lit = patches.fitted(model, table)
         expected, scatter = lit.scatter(model, table)
-        others = [lit.moments(model.tables(found + change * axis)).variance for axis in np.eye(2)]
+        others = [
+            lit.moments(model, model.tables(found + change * axis)).variance for axis in np.eye(2)
+        ]
         slopes = (np.stack(others) - expected) / change
         beyond = patches.variance - expected
         used = (np.abs(beyond) <= TRIM * scatter) & (scatter > 0)
@@ -171,12 +176,27 @@ def _compression(patches: NoisePatches, model: VarianceModel, noise: _Floats) ->
     moved; 0 where that is by chance.
     """
     table = model.tables(noise)
-    expected = patches.fitted(model, table).moments(table).variance
-    excess = (patches.variance - expected) / np.maximum(12 * patches.quantisers, _SMALLEST_STEP)
+    expected = patches.fitted(model, table).moments(model, table).variance
+    steps = np.maximum(12 * patches.quantisers.sum(axis=0), _SMALLEST_STEP)
+    excess = (patches.variance - expected) / steps
     most = float(np.quantile(excess, 1 - _OUTLIERS))
     excess = np.minimum(excess, most)
     mean, error = float(excess.mean()), float(excess.std()) / math.sqrt(excess.size)
     return math.sqrt(mean) if mean > max(_CHANCE * error, _LEAST_EXCESS) else 0.0
+
+
+def _contrast(patches: NoisePatches, model: VarianceModel, noise: _Floats) -> float:
+    """Return the share of the frequencies that contrast makes any part of a step.
+
+    It is that of the variance which these would have more than smooth patches, of all patches but
+    the `_OUTLIERS` with most of it.
+    """
+    lit = patches.fitted(model, table := model.tables(noise))
+    smooth, rough = lit.moments(model, table).variance, lit.with_contrast(model, table)
+    # Patches with contrast decide it, whose variance scatters by its own size.
+    excess, more = (patches.variance - smooth) / rough, 1 - smooth / rough
+    excess = np.minimum(excess, np.quantile(excess, 1 - _OUTLIERS))
+    return float(np.clip((excess @ more) / (more @ more), 0, 1))
 
 
 def _least_squares(terms: _Floats, values: _Floats) -> tuple[_Floats, _Floats]:
@@ -252,6 +272,7 @@ def fit_noise(
     gains: Sequence[float],
     black: int,
     plain: NDArray[np.bool_] | None = None,
+    file: BlockRounding | None = None,
 ) -> NoiseFit | None:
     """Return the noise that patches show; None where too few are in range in two frames.
 
@@ -262,11 +283,13 @@ def fit_noise(
         gains: linear gain of each frame
         black: black level, DN
         plain: patches that show what compression adds, (patches,); None: all
+        file: what the files of the frames make of noise in patches that are their blocks
     """
     if len(exposures) < 2:
         return None
     order = np.argsort(exposures, kind="stable")
-    sensor, model = SensorModel(response, black), VarianceModel(response, black, gains)
+    sensor, model = SensorModel(response, black), VarianceModel(response, black, gains, file)
+    shown = np.ones(len(samples[0]), np.bool_) if plain is None else plain
     found = [
         _pair(
             [samples[k] for k in pair],
@@ -274,7 +297,7 @@ def fit_noise(
             [gains[k] for k in pair],
             sensor,
             model,
-            np.ones(len(samples[0]), np.bool_) if plain is None else plain,
+            shown,
         )
         for pair in zip(order[:-1].tolist(), order[1:].tolist(), strict=True)
     ]
@@ -287,12 +310,15 @@ def fit_noise(
         neighbours = fit.neighbours()
     except np.linalg.LinAlgError:
         return None
-    compression = 0.0
+    compression = contrast = 0.0
     if response.M <= _COMPRESSED:
-        shown = _some(everywhere, everywhere.is_plain, model)
-        if shown.variance.size >= _LEAST_PATCHES:
-            compression = _compression(shown, model, fit.noise)
-    return NoiseFit(fit.noise, neighbours, int(patches.freedom.sum()), compression)
+        every = _some(everywhere, everywhere.is_plain, model)
+        if every.variance.size >= _LEAST_PATCHES:
+            if file is None:
+                compression = _compression(every, model, fit.noise)
+            else:
+                contrast = _contrast(every, model, fit.noise)
+    return NoiseFit(fit.noise, neighbours, int(patches.freedom.sum()), compression, contrast)
 
 
 def _some(patches: NoisePatches, chosen: NDArray[np.bool_], model: VarianceModel) -> NoisePatches:
@@ -331,7 +357,9 @@ def _pair(
     ratio = exposures[1] / exposures[0]
     predicted = light / ratio
     usable = np.maximum(*samples) <= sensor.highest(None)
-    chosen = np.flatnonzero(np.count_nonzero(usable, axis=1) >= LEAST_USABLE * usable.shape[1])
+    # A file spreads over a block what saturation does to some of it.
+    least = (LEAST_USABLE if model.file is None else 1.0) * usable.shape[1]
+    chosen = np.flatnonzero(np.count_nonzero(usable, axis=1) >= least)
     usable = usable[chosen]
     count, counted = np.count_nonzero(usable, axis=1), usable.astype(np.float64)
 
@@ -364,7 +392,7 @@ def _pair(
     every = NoisePatches(
         variance=spread,
         terms=terms,
-        quantisers=rounding[0] + rounding[1] / ratio**2,
+        quantisers=np.stack([rounding[0], rounding[1] / ratio**2]),
         light=np.stack([middle, error]),
         contrast=np.stack([np.maximum(contrast, 0.0), np.zeros_like(contrast)]),
         spread=own * count / np.maximum(count - 1, 1),

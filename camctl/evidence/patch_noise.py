@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.model.block_rounding import BlockRounding
 from camctl.model.distribution import MIN_ELECTRONS
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import CameraResponse
@@ -24,6 +25,8 @@ from camctl.model.sample_moments import SampleMoments, range_means
 _LEAST_RANGE = 0.05
 #: Share of the variance from which on the square of the quantisers' mean errors counts.
 _NOTABLE = 1e-3
+#: Square of a step that is not less, levels squared.
+_LEAST_STEP = 1e-12
 #: Rounds in which the light of a patch is found, and standard errors up to which its contrast is
 #: chance.
 _CENTRING, _CHANCE = 4, 2.0
@@ -43,9 +46,17 @@ class VarianceModel:
         response: the camera's response as levels
         black: black level, DN
         gains: linear gain of each frame
+        file: what the files of the frames make of noise within a patch; None: nothing
     """
 
-    def __init__(self, response: CameraResponse, black: int, gains: Sequence[float]) -> None:
+    def __init__(
+        self,
+        response: CameraResponse,
+        black: int,
+        gains: Sequence[float],
+        file: BlockRounding | None = None,
+    ) -> None:
+        self.file = file
         self._moments = SampleMoments(response, black)
         self._full = response.M + 1.0
         self._gains = sorted(set(gains))
@@ -86,17 +97,22 @@ class _Moments(NamedTuple):
     """What noise and quantisers make of patches, (K,) each, in levels of the shorter frame.
 
     Attributes:
-        variance: of the difference of the frames
-        of_longer: variance of the longer frame in it
+        each: (2, K), variance of the shorter and of the longer frame in the difference of both
+        scatter: standard deviation of the variance of the difference, over the root of 2 / freedom
         error: mean error of the longer frame's light
         is_notable: whether the quantisers' mean errors are: elsewhere the variance hardly changes
             with the light
     """
 
-    variance: _Floats
-    of_longer: _Floats
+    each: _Floats
+    scatter: _Floats
     error: _Floats
     is_notable: NDArray[np.bool_]
+
+    @property
+    def variance(self) -> _Floats:
+        """Of the difference."""
+        return np.asarray(self.each.sum(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +122,7 @@ class NoisePatches:
     Attributes:
         variance: measured
         terms: (2, K): what one inverse electron per level, and read noise of one level, add
-        quantisers: what quantisers add that noise dithers
+        quantisers: (2, K), what the quantisers of both frames add that noise dithers
         light: (2, K): the mean of its light, and the error of that
         contrast: (2, K): the variance of its light within it, and the error of that
         spread: the variance within it of the longer frame
@@ -161,16 +177,16 @@ class NoisePatches:
             model: of their variance
             table: see `VarianceModel.tables`
         """
-        notable = np.flatnonzero(self.moments(table).is_notable)
+        notable = np.flatnonzero(self.moments(model, table).is_notable)
         if not notable.size:
             return self
         some = self.where(notable)
         mean, error = some.light
         by_chance = some.spread * np.sqrt(2 / some.freedom)
         for _ in range(_CENTRING):
-            found = some.moments(table)
+            found = some.moments(model, table)
             middle = (some.light[0] + mean - found.error) / 2
-            beyond = some.spread - found.of_longer
+            beyond = some.spread - found.each[1]
             beyond[beyond < _CHANCE * by_chance] = 0.0
             some = replace(
                 some, light=np.stack([middle, error]), contrast=np.stack([beyond, by_chance])
@@ -180,28 +196,49 @@ class NoisePatches:
         ends[:, notable] = some.ends
         return replace(self, light=light, contrast=contrast, ends=ends)
 
-    def moments(self, table: _Floats) -> _Moments:
+    def with_contrast(self, model: VarianceModel, table: _Floats) -> _Floats:
+        """Return the variance if all frequencies of a file showed contrast."""
+        assert model.file is not None
+        step = self._squared_steps
+        noise = self._by_noise(table)[0] / step
+        return np.asarray((model.file.by_contrast(noise) * step).sum(axis=0))
+
+    @property
+    def _squared_steps(self) -> _Floats:
+        return np.maximum(12 * self.quantisers, _LEAST_STEP)
+
+    def moments(self, model: VarianceModel, table: _Floats) -> _Moments:
         """Return what noise and quantisers make of the patches, see `VarianceModel.tables`."""
+        variance, error, is_notable = self._by_noise(table)
+        if model.file is None:
+            return _Moments(variance, variance.sum(axis=0), error, is_notable)
+        step = self._squared_steps
+        noise = variance / step
+        kept, scatter = model.file.within(noise) * step, model.file.scatter(noise) * step
+        return _Moments(kept, scatter.sum(axis=0), error, is_notable)
+
+    def _by_noise(self, table: _Floats) -> tuple[_Floats, _Floats, NDArray[np.bool_]]:
+        """Return what `moments` does before files change it."""
         error, square, variance = range_means(table, self.ends[::2], self.ends[1::2])
         error[1] /= self.ratio
         square[1] /= self.ratio**2
         variance[1] /= self.ratio**2
         variance += np.maximum(square - error**2, 0.0)
-        total = variance.sum(axis=0)
-        return _Moments(total, variance[1], error[1], square.sum(axis=0) > _NOTABLE * total)
+        return variance, error[1], square.sum(axis=0) > _NOTABLE * variance.sum(axis=0)
 
     def scatter(self, model: VarianceModel, table: _Floats) -> tuple[_Floats, _Floats]:
         """Return the expected variance, and the standard error of the measured one.
 
         The latter is by chance, and by what is not known of the light.
         """
-        expected, _, _, is_notable = self.moments(table)
-        square = 2 / self.freedom * expected**2
+        found = self.moments(model, table)
+        expected, is_notable = found.variance, found.is_notable
+        square = 2 / self.freedom * found.scatter**2
         notable = np.flatnonzero(is_notable)
         if notable.size:
             some = self.where(notable)
             low, high, wide = (
-                some.with_ends(model, light, contrast).moments(table).variance
+                some.with_ends(model, light, contrast).moments(model, table).variance
                 for light, contrast in ((-1, 0), (1, 0), (0, 1))
             )
             square[notable] += np.square((high - low) / 2) + np.square(wide - expected[notable])

@@ -13,6 +13,7 @@ scale, M + 1 levels, is 1.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -183,8 +184,14 @@ class LightTables:
         self._near = near & (found.weight == 0)
         self._near_any = self._near.any(axis=0)
         # Compression lowers saturated samples beside others: such a frame does not count.
-        is_compressed = any(each.compression_levels for each in frames.noise)
-        self._white = sensor.highest(None) + 1 if is_compressed else sensor.white
+        first = frames.noise[0]
+        is_compressed, self._white = bool(first.compression_levels), sensor.white
+        if is_compressed:
+            self._white = sensor.highest(None) + 1
+        elif first.file is not None and frames.beside_saturated:
+            is_compressed = True
+            error = math.sqrt(first.file.by_contrast(np.zeros(1))[0])
+            self._white -= math.ceil(CLIPPING_SIGMAS * error)
         lost = found.saturated & (found.share == 0) if is_compressed else found.saturated
         self._saturating = np.argmax(lost, axis=1)
         self.spreads: Floats32 = found.spread.astype(np.float32)

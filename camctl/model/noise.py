@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from camctl.errors import UsageError
+from camctl.model.block_rounding import BlockRounding
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,8 @@ class FrameNoise:
         prnu: standard deviation of the sensitivity over the pixels, relative
         black: black level, DN: by so many levels noise can lower a sample below 0
         compression_levels: standard deviation of what the compression of a file, such as JPEG, adds
-            to the brightness, levels of the response
+            to the brightness where there is contrast, levels of the response
+        file: what it makes of noise; None: nothing
     """
 
     electrons_per_level: float
@@ -34,6 +36,7 @@ class FrameNoise:
     prnu: float = 0.0
     black: int = 0
     compression_levels: float = 0.0
+    file: BlockRounding | None = None
 
 
 @dataclass(frozen=True)

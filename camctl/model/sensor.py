@@ -48,6 +48,9 @@ _FEWEST_LEVELS = 8
 #: Standard deviation of the error of a stated black level, a whole number: 1 / sqrt(12) levels.
 BLACK_ERROR_LEVELS = 12**-0.5
 
+#: Square of a step that is not less: levels of a flat response coincide.
+_LEAST_SQUARE = 1e-24
+
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
@@ -117,9 +120,13 @@ class SensorModel:
     def spread(self, light: FloatArray, noise: FrameNoise) -> FloatArray:
         """Return that variance with the errors of compression, which follow the response."""
         variance = self.variance(light, noise)
-        if not noise.compression_levels:
+        if noise.file is None and not noise.compression_levels:
             return variance
-        return np.asarray(variance + (noise.compression_levels * self.step(light)) ** 2)
+        square = np.square(self.step(light))
+        if noise.file is not None:
+            square = np.maximum(square, _LEAST_SQUARE)
+            variance = noise.file.error(variance / square) * square
+        return np.asarray(variance + noise.compression_levels**2 * square)
 
     def step(self, light: FloatArray) -> FloatArray:
         """Return the step of the quantiser at a light."""

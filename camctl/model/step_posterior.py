@@ -45,6 +45,7 @@ class FrameSet:
         black: brightness without light, DN
         exposures: of the frames, relative to the shortest, which has 1
         noise: of each frame
+        beside_saturated: whether a file rounds samples together with saturated ones
         fingerprint: of `response`
     """
 
@@ -52,6 +53,7 @@ class FrameSet:
     black: int
     exposures: tuple[float, ...]
     noise: tuple[FrameNoise, ...]
+    beside_saturated: bool = False
     fingerprint: str = ""
 
     def __post_init__(self) -> None:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from threading import local
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from camctl.evidence.chroma import (
 )
 from camctl.evidence.lost_detail import (
     LEVELS,
+    SIDE,
     LostDetail,
     file_steps,
     lost_details,
@@ -33,6 +34,7 @@ from camctl.evidence.noise import NoiseFit, fit_noise
 from camctl.evidence.patch_noise import electrons_per_level
 from camctl.evidence.patches import Patches
 from camctl.interface.controls import Layout
+from camctl.model.block_rounding import BlockRounding
 from camctl.model.distribution import MAX_READ_NOISE
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import posterior_of
@@ -57,6 +59,11 @@ _STAND_IN_E = (CLIPPING_SIGMAS / JPEG_ERROR) ** 2
 
 #: Of the samples of a patch every so many-th shows how exact the light is: 40,000 of a picture.
 _EVERY = 8
+
+
+#: Errors that the compression of a file adds where there is contrast, levels, and what it makes of
+#: noise.
+_Compressed: TypeAlias = tuple[float, BlockRounding | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +149,8 @@ class FrameLight:
             of these; empty where that is not so
         details: what the files of frames with few such samples lose besides; empty where this is
             not known
+        beside: estimates the light in blocks of files that hold saturated samples; None: frames
+            are not from such files
     """
 
     parts: tuple[tuple[Part, Estimator], ...]
@@ -150,6 +159,7 @@ class FrameLight:
     unit: float
     chroma: tuple[LightTables, ...] = ()
     details: tuple[LostDetail, ...] = ()
+    beside: Estimate | None = None
     _kept: local = field(default_factory=local, init=False, repr=False)
 
     def rows(
@@ -168,6 +178,12 @@ class FrameLight:
         irradiance, deviation = self._by_sample(clipped, total)
         if self.chroma:
             share_chroma_errors(clipped, self.chroma, self.details, irradiance, deviation)
+        if self.beside is not None:
+            places = np.flatnonzero(_beside_saturated(clipped, self.white))
+            values = [np.ravel(each)[places] for each in clipped]
+            found = self.beside(values, np.ravel(total)[places])
+            for whole, each in zip((irradiance, deviation), found, strict=True):
+                np.ravel(whole)[places] = each
         irradiance *= np.float32(1 / self.unit)
         deviation *= np.float32(1 / self.unit)
         return irradiance, deviation
@@ -247,6 +263,21 @@ class FrameLight:
         return Quality(float(np.median(ratios)) if ratios.size else None, unknown / max(1, count))
 
 
+def _beside_saturated(frames: Sequence[NDArray[Any]], white: int) -> NDArray[np.bool_]:
+    """Return which samples are not saturated, but are in a block of a frame with one that is."""
+    shape = frames[0].shape
+    firsts = [np.arange(0, length, SIDE) for length in shape]
+    found = np.zeros(shape, np.bool_)
+    for each in frames:
+        is_white = each >= white
+        rows = np.logical_or.reduceat(is_white, firsts[0], axis=0)
+        blocks = np.logical_or.reduceat(rows, firsts[1], axis=1)
+        if blocks.any():
+            inside = blocks.repeat(SIDE, axis=0).repeat(SIDE, axis=1)[: shape[0], : shape[1]]
+            found |= inside & ~is_white
+    return found
+
+
 def _planes(shape: tuple[int, ...]) -> Floats32:
     """Return an array for results, of which each channel is contiguous."""
     if len(shape) == 2:
@@ -286,6 +317,14 @@ def frame_light(
     if not is_sum and len(parts) == len(LETTERS) and has_few_chroma_samples(samples, highest):
         least = ROUNDING.tolist()
         plain = np.all([patch_chroma_variance(each) <= NOTABLE for each in samples], axis=0)
+    steps = None
+    if (
+        not is_sum
+        and (plain is not None or len(parts) == 1)
+        and black + parts[0].response.M == LEVELS - 1
+    ):
+        steps = file_steps(samples, len(parts))
+    file = None if steps is None or len(parts) > 1 else BlockRounding(tuple(steps.tolist()))
     found, noises = [], []
     alike: dict[FrameSet, Estimator] = {}
     for at, part in enumerate(parts):
@@ -293,8 +332,8 @@ def frame_light(
         fit = None
         if noise is None:
             shown = None if plain is None else np.array_split(plain, len(parts))[at]
-            fit = fit_noise(part.response, patches, exposures, gains, black, shown)
-        frames = _frame_set(part.response, black, exposures, noise, fit, gains, least[at])
+            fit = fit_noise(part.response, patches, exposures, gains, black, shown, file)
+        frames = _frame_set(part.response, black, exposures, noise, fit, gains, (least[at], file))
         is_known = noise is not None or fit is not None
         # By theorem 1 of the paper the sum loses nothing where there is no noise.
         if is_sum:
@@ -310,21 +349,28 @@ def frame_light(
             noises.append(frames.noise)
     white = black + parts[0].response.M
     tables = [each.tables for _, each in found if plain is not None and each.tables is not None]
-    details = _lost_details(tables[1], samples) if tables else ()
-    return FrameLight(tuple(found), tuple(noises), white, unit, tuple(tables), details)
+    details = _lost_details(tables[1], samples, steps) if tables and steps is not None else ()
+    beside = None
+    if file is not None and is_known:
+        noise = tuple(replace(each, file=replace(file, contrast=1.0)) for each in frames.noise)
+        edges = replace(frames, noise=noise, beside_saturated=True)
+        beside = _likelihood(edges, None, gains, is_known=True, is_independent=False).estimate
+    return FrameLight(tuple(found), tuple(noises), white, unit, tuple(tables), details, beside)
 
 
-def _lost_details(green: LightTables, samples: Sequence[Patches]) -> tuple[LostDetail, ...]:
+def _lost_details(
+    green: LightTables, samples: Sequence[Patches], steps: NDArray[np.float64]
+) -> tuple[LostDetail, ...]:
     """Return what the files of frames lose of their brightness, as samples of colours show it."""
-    if green.sensor.white != LEVELS - 1 or (found := file_steps(samples, 3)) is None:
-        return ()
     noise = []
-    for light, variances, steps in zip(green.irradiance, green.variances, green.steps, strict=True):
+    for light, variances, widths in zip(
+        green.irradiance, green.variances, green.steps, strict=True
+    ):
         bins = green.bins(light)
         noise.append(
-            NOISE_OF_Y * np.sqrt(variances.take(bins)) / np.maximum(steps.take(bins), 1e-12)
+            NOISE_OF_Y * np.sqrt(variances.take(bins)) / np.maximum(widths.take(bins), 1e-12)
         )
-    return lost_details([patch_blocks(each, 3) for each in samples], found, noise)
+    return lost_details([patch_blocks(each, 3) for each in samples], steps, noise)
 
 
 def is_noiseless(noise: Sequence[FrameNoise]) -> bool:
@@ -333,6 +379,7 @@ def is_noiseless(noise: Sequence[FrameNoise]) -> bool:
         math.isinf(each.electrons_per_level)
         and not (each.read_noise_levels or each.dsnu_levels or each.prnu)
         and not each.compression_levels
+        and each.file is None
         for each in noise
     )
 
@@ -344,25 +391,27 @@ def _frame_set(
     known: Sequence[FrameNoise] | None,
     fit: NoiseFit | None,
     gains: Sequence[float],
-    compression: float,
+    compressed: _Compressed,
 ) -> FrameSet:
     """Return the frames with their noise; photon noise stands for one that is not known.
 
-    `compression` is the least error that the compression of a file adds, levels.
+    `compressed` has the least error that the compression of a file adds, levels.
     """
+    compression, file = compressed
     if known is None:
         stand_in = response.M / _STAND_IN_E, 0.0
         if fit is not None:
             compression = max(compression, fit.compression_levels)
+            file = file and replace(file, contrast=fit.contrast)
         inverse_square = stand_in if fit is None else fit.noise.tolist()
-        known = _frame_noise(inverse_square, compression, black, gains)
-    elif compression:
-        known = [replace(each, compression_levels=compression) for each in known]
+        known = _frame_noise(inverse_square, (compression, file), black, gains)
+    elif compression or file:
+        known = [replace(each, compression_levels=compression, file=file) for each in known]
     return FrameSet(response, black, tuple(exposures), tuple(known))
 
 
 def _frame_noise(
-    noise: Sequence[float], compression: float, black: int, gains: Sequence[float]
+    noise: Sequence[float], compressed: _Compressed, black: int, gains: Sequence[float]
 ) -> tuple[FrameNoise, ...]:
     inverse, square = noise
     electrons, read = electrons_per_level(inverse), math.sqrt(square)
@@ -371,7 +420,8 @@ def _frame_noise(
             electrons / gain,
             min(read * gain, MAX_READ_NOISE),
             black=black,
-            compression_levels=compression,
+            compression_levels=compressed[0],
+            file=compressed[1],
         )
         for gain in gains
     )
@@ -393,9 +443,9 @@ def _likelihood(
     tables = light_tables(frames)
     certain = np.full(tables.deviation.shape, is_known)
     if fit is not None:
-        compression = frames.noise[0].compression_levels
+        compressed = frames.noise[0].compression_levels, frames.noise[0].file
         others = [
-            replace(frames, noise=_frame_noise(each.tolist(), compression, frames.black, gains))
+            replace(frames, noise=_frame_noise(each.tolist(), compressed, frames.black, gains))
             for each in fit.neighbours
         ]
         certain = is_certain(frames, others, _MOST_UNCERTAIN)

@@ -88,7 +88,7 @@ def _of_frame(part: Part, noise: FrameNoise, black: int) -> tuple[Floats32, Floa
     tables = light_tables(FrameSet(part.response, black, (1.0,), (noise,)))
     codes = np.arange(tables.sensor.white + 1, dtype=np.uint16)
     irradiance, deviation = tables.estimate([codes], codes)
-    is_compressed = bool(noise.compression_levels)
+    is_compressed = bool(noise.compression_levels or noise.file)
     saturated = tables.sensor.highest(None) + 1 if is_compressed else tables.sensor.white
     irradiance[-1] = part.response.levels[-1]
     deviation[saturated:] = np.inf
