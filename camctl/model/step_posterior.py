@@ -28,6 +28,9 @@ REACH = 5.0
 #: arrays of their nodes stay in a cache (4096 take 1.7 times as long).
 _NODES, _CHUNK = 48, 512
 
+#: Lights at which the noise of files is tabulated.
+_FILE_LIGHTS = 4096
+
 #: Odd, without a pattern (2^64 over the golden ratio): a combination of samples, as the digits of a
 #: number to this base modulo 2^64, is another one's number in 1 of 2^64 cases.
 _FACTOR = np.uint64(0x9E3779B97F4A7C15)
@@ -98,6 +101,7 @@ class StepPosterior:
 
     def __init__(self, frames: FrameSet, sensor: SensorModel) -> None:
         self._frames, self.sensor = frames, sensor
+        self._of_files: dict[FrameNoise, FloatArray] = {}
         self._known = _Known(np.empty(0, np.uint64), np.empty(0), np.empty(0))
 
     @cached_property
@@ -186,7 +190,17 @@ class StepPosterior:
     def _spread(self, light: FloatArray, noise: FrameNoise) -> FloatArray:
         """Return the standard deviation of a sample's light, differences of pixels included."""
         offset = noise.dsnu_levels * self.sensor.level
-        return np.sqrt(self.sensor.spread(light, noise) + offset**2)
+        if noise.file is None:
+            return np.sqrt(self.sensor.spread(light, noise) + offset**2)
+        if noise not in self._of_files:
+            square = self.sensor.spread(self._lights, noise) + offset**2
+            self._of_files[noise] = np.sqrt(square)
+        return np.interp(light, self._lights, self._of_files[noise])
+
+    @cached_property
+    def _lights(self) -> FloatArray:
+        """Lights up to twice full scale, beyond which all samples are saturated."""
+        return 2 * self.sensor.full * np.square(np.linspace(0, 1, _FILE_LIGHTS))
 
     def _moments(
         self, rows: NDArray[np.intp], low: FloatArray, high: FloatArray
