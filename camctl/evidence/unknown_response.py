@@ -129,7 +129,8 @@ def _deviates(
 
     The mean of a cell has the error of its samples, which they show themselves, and errors that
     they share: of the curve, of rounding, and of JPEG files.  These keep the brightness Y of a
-    pixel better than its colours, so that of three colours Y decides.
+    pixel better than its colours, so that of three colours Y decides.  A cell of one sample
+    does not show its error, and never deviates.
 
     Args:
         pairs: levels of the samples of the shorter and of the longer frame, for each plane
@@ -141,7 +142,7 @@ def _deviates(
         of_colours, common = zip(*parts, strict=True)
         parts = [(brightness(of_colours), np.tensordot(np.square(OF_Y), np.stack(common), 1))]
     found = np.zeros(parts[0][1].shape, np.bool_)
-    for errors, shared in parts:
+    for errors, shared in parts if size > 1 else ():
         mean = means(errors)
         own = np.maximum(means(np.square(errors)) - np.square(mean), 0) / (size - 1)
         limit = student(significant_sigmas(mean.size), size - 1.0)
