@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 
 from camctl.evidence.edges import Ranges
 from camctl.evidence.patch_errors import MEAN_RADIUS
+from camctl.evidence.ratio_check import MOST
 from camctl.evidence.residual import FrameRows, Limits, Pair
 from camctl.interface.camera import Pixels
-from camctl.system.picture_operations import connected_parts, counts_along_columns, dilated
+from camctl.system.picture_operations import connected_parts, dilated, sums_along_columns
 
 ACROSS = 2
 """Pixels across the columns that light spreads."""
@@ -44,8 +45,8 @@ _MOST_LINES, _RING_SAMPLES = 512, 200
 #: Charge flows along columns if so many times as many contradicting pixels are connected to
 #: saturated ones along the columns as along the rows, and so many more.
 _STREAKS, _LEAST_STREAKS = 2.0, 20
-#: Pixels of a column of which most must be darker in the shorter frame than what saturates the
-#: longer one, if charge has flooded them.
+#: Pixels of a column whose mean must be darker in the shorter frame than what saturates the longer
+#: one, if charge has flooded them.
 _AROUND = 9
 #: Or if fewer than `LOST` of those connected are darker in the longer frame than expected.
 #: With unknown noise that proves nothing: what became darker may not be found in the pair before.
@@ -157,9 +158,17 @@ class LightSpread:
         if self.streaks:
             spread |= _connected_runs(_any_colour(found), source)
             # Single samples of a short exposure have too much noise there, a streak has not.
-            low, high = (each[:, self.white - 1] for each in (limits.low, limits.high))
-            darker = ~comparable & (short < low + (high - low) // 2)
-            flooded = darker & _mostly(darker & (short < low + (high - low) // 4))
+            low, high = (
+                each[:, self.white - 1].astype(np.float32) for each in (limits.low, limits.high)
+            )
+            middle, error = (low + high) / 2, (high - low) / 2
+            saturated = ~comparable
+            count, total = (
+                sums_along_columns(each, _AROUND)
+                for each in (saturated, np.where(saturated, short, 0))
+            )
+            flooded = saturated & (short < middle)
+            flooded &= total < count * middle - np.sqrt(count) * error
             spread |= _any_colour(flooded)
             found |= flooded
         if self.reach:
@@ -243,11 +252,14 @@ def _on_lines(
 def _has_one_factor(pair: Pair, marks: NDArray[np.bool_], short: Pixels, long: Pixels) -> bool:
     """Return whether marked pixels of the longer frame are brighter by one factor than expected."""
     white, light = pair.saturated, pair.sensor.light
-    compared = (short < white) & (long < white)
-    compared &= marks if marks.ndim == short.ndim else marks[..., np.newaxis]
+    marked = np.broadcast_to(
+        marks if marks.ndim == short.ndim else marks[..., np.newaxis], short.shape
+    )
+    compared = marked & (short < white) & (long < white)
     before, after = (light[each[compared]] for each in (short, long))
     both = (before > 0) & (after > 0)
-    if not both.any():
+    # A few samples have one factor by chance, and where most are saturated it is not known.
+    if not np.count_nonzero(both) > MOST * np.count_nonzero(marked):
         return False
     low, high = np.quantile(np.log(after[both] / before[both]), (0.1, 0.9))
     return bool(high - low < _ONE_FACTOR)
@@ -257,11 +269,6 @@ def _darker(limits: Limits, short: Pixels, long: Pixels) -> NDArray[np.bool_]:
     """Return which pixels are darker in the longer frame than expected, in any colour."""
     brighter = replace(limits, low=np.zeros_like(limits.low))
     return _any_colour(brighter.outside(short, long))
-
-
-def _mostly(marks: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return where more than half of the pixels around, along the columns, have marks."""
-    return counts_along_columns(marks, _AROUND) > _AROUND // 2
 
 
 def _connected_runs(found: NDArray[np.bool_], source: NDArray[np.bool_]) -> NDArray[np.bool_]:

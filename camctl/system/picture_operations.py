@@ -302,19 +302,20 @@ def count_from(samples: NDArray[Any], least: int) -> int:
     )
 
 
-def counts_along_columns(marks: NDArray[np.bool_], length: int) -> NDArray[np.integer[Any]]:
-    """Return how many of so many pixels around each one, along its column, have marks.
+def sums_along_columns(values: NDArray[Any], length: int) -> Kernel:
+    """Return the sums of so many pixels around each one, along its column; nothing is outside.
 
-    `length` is odd, and at most 255; there are no marks outside.
+    `length` is odd.
     """
+    values = values.astype(np.float32)
     if (cv2 := opencv()) is not None:
-        counts = cv2.boxFilter(
-            marks.view(np.uint8), -1, (1, length), normalize=False, borderType=cv2.BORDER_CONSTANT
+        found = cv2.boxFilter(
+            values, -1, (1, length), normalize=False, borderType=cv2.BORDER_CONSTANT
         )
-        return np.asarray(counts, np.uint8).reshape(marks.shape)
-    ends = np.zeros((length // 2 + 1, *marks.shape[1:]), np.int32)
-    sums = np.cumsum(np.concatenate([ends, marks, ends[1:]]), axis=0, dtype=np.int32)
-    return np.asarray(sums[length:] - sums[:-length])
+        return np.asarray(found, np.float32).reshape(values.shape)
+    ends = np.zeros((length // 2 + 1, *values.shape[1:]))
+    sums = np.cumsum(np.concatenate([ends, values, ends[1:]]), axis=0)
+    return np.asarray(sums[length:] - sums[:-length], np.float32)
 
 
 def box_means(values: NDArray[Any], radius: int) -> Kernel:

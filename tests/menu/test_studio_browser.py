@@ -82,8 +82,8 @@ def test_capture_is_taken_judged_and_loaded(
     slider.focus()
     page.keyboard.press("ArrowLeft")
     assert page.inner_text(".dials") != before
-    levels = page.wait_for_selector(".dials dd:has-text('effective levels')")
-    page.wait_for_function(_IN_SIGHT, arg=levels)  # once the pictures beside it have their size
+    # Once the pictures beside it have their size; what it says may be drawn anew at any time.
+    page.wait_for_function(_IN_SIGHT, arg="effective levels")
     page.keyboard.press("Escape")
     page.wait_for_selector("[data-entry]:has-text('Recommended')")
     page.click("text=Time / accuracy")
@@ -191,10 +191,10 @@ _COLOURS = """async image => {
   }
   return [...found];
 }"""
-_IN_SIGHT = """element => {
-  const box = element.getBoundingClientRect(), seen = main.getBoundingClientRect();
-  return box.top >= seen.top && box.bottom <= seen.bottom;
-}"""
+_IN_SIGHT = """words => [...document.querySelectorAll(".dials dd")].some(each => {
+  const box = each.getBoundingClientRect(), seen = main.getBoundingClientRect();
+  return each.textContent.includes(words) && box.top >= seen.top && box.bottom <= seen.bottom;
+})"""
 _CONTRASTS = """() => {
   const channels = text => text.match(/[\\d.]+/g).map(Number);
   const light = colour => channels(colour).slice(0, 3).map(each => {

@@ -213,9 +213,9 @@ def test_counts_of_levels_are_exact_where_float32_is_not() -> None:
 
 
 @given(SHAPES, st.sampled_from([1, 3, 9]))
-def test_counts_along_columns(shape: tuple[int, ...], length: int) -> None:
+def test_sums_along_columns(shape: tuple[int, ...], length: int) -> None:
     marks = random(shape) < 0.5
-    for counts in both(lambda: operations.counts_along_columns(marks, length)):
+    for counts in both(lambda: operations.sums_along_columns(marks, length)):
         for row in range(shape[0]):
             near = marks[max(0, row - length // 2) : row + length // 2 + 1]
             assert (counts[row] == near.sum(axis=0)).all()
