@@ -75,6 +75,7 @@ class MovingCamera:
         self, cameras: tuple[SimulatedCamera, SimulatedCamera], moved: int, *, known: bool
     ) -> None:
         self._cameras, self._moved, self._known = cameras, moved, known
+        self._moving: ExposureSetting | None = None
         self.info, self.clock = cameras[0].info, cameras[0].clock
 
     @property
@@ -89,9 +90,11 @@ class MovingCamera:
 
     def _frames(self, settings: Sequence[ExposureSetting]) -> Generator[Frame]:
         both = [list(camera.shoot(settings)) for camera in self._cameras]
-        for place, (frame, other) in enumerate(zip(*both, strict=True)):
-            moves = place == self._moved and len(settings) == len(RATIOS)
-            yield replace(frame, pixels=other.pixels) if moves else frame
+        if len(settings) == len(RATIOS):
+            self._moving = settings[self._moved]
+        for setting, frame, other in zip(settings, *both, strict=True):
+            # It is still so where the frame is shot again.
+            yield replace(frame, pixels=other.pixels) if setting == self._moving else frame
 
     def close(self) -> None:
         """Leave the cameras open."""
