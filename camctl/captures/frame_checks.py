@@ -16,7 +16,7 @@ from camctl.evidence.damage import damaged_share
 from camctl.evidence.delay import ShotLog
 from camctl.evidence.light_ratio import MOST_CHANGE, FrameSample, NeighbourCheck
 from camctl.evidence.patches import Patches, patch_places
-from camctl.evidence.raster_damage import is_wrong_alone, wrong_lines
+from camctl.evidence.raster_damage import is_wrong_alone, light_limits, wrong_lines
 from camctl.evidence.ratio_check import RatioCheck
 from camctl.evidence.residual import Pair, Side
 from camctl.findings import Finding
@@ -237,17 +237,17 @@ class FrameChecks:
         rows, columns, _ = patch_places(planes[0].shape, len(planes))
         grid = rows.size, columns.size
         exposures = [controls.exposure(frame.applied) for frame in self._frames]
+        limits = [light_limits(each, self._check.scale) for each in samples]
 
         def differ(one: int, other: int) -> bool:
             ratio = exposures[other] / exposures[one]
-            return wrong_lines((samples[one], samples[other]), ratio, self._check.scale, grid)
+            return wrong_lines((limits[one], limits[other]), ratio, grid)
 
         def is_alone(place: int) -> bool:
-            first = min(max(place - 1, 0), len(samples) - 3)
+            first = min(max(place - 1, 0), len(limits) - 3)
             one, other = (k for k in range(first, first + 3) if k != place)
-            some = (samples[one], samples[place], samples[other])
-            ratios = (exposures[one], exposures[place], exposures[other])
-            return is_wrong_alone(some, ratios, self._check.scale)
+            some = (limits[one], limits[place], limits[other])
+            return is_wrong_alone(some, (exposures[one], exposures[place], exposures[other]))
 
         if len(samples) > 2 and (alone := [k for k in range(len(samples)) if is_alone(k)]):
             return alone

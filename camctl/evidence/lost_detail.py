@@ -114,15 +114,10 @@ def file_steps(samples: Sequence[Patches], colours: int) -> Floats | None:
         of_colours = patches.reshape(colours, -1, SIDE * SIDE)[:, ::every]
         is_whole = (of_colours.min(axis=(0, 2)) > 0) & (of_colours.max(axis=(0, 2)) < LEVELS - 1)
         some = of_colours[:, is_whole].reshape(-1, SIDE * SIDE)
-        found.append(frequencies(patch_blocks(some, colours)))
+        is_grey = colours == 1
+        blocks = some.reshape(-1, SIDE, SIDE) if is_grey else patch_brightness(some)
+        found.append(frequencies(blocks.astype(np.float32, copy=False)))
     return quantisation(found)
-
-
-def patch_blocks(patches: Patches, colours: int) -> NDArray[np.float32]:
-    """Return the brightness of patches of one colour or of three, (blocks, 8, 8)."""
-    if colours == 1:
-        return patches.reshape(-1, SIDE, SIDE).astype(np.float32)
-    return patch_brightness(patches)
 
 
 def quantisation(frames: Sequence[NDArray[np.float32]]) -> Floats | None:
@@ -276,7 +271,7 @@ def _scales(kept: NDArray[np.bool_], classes: NDArray[np.intp], steps: Floats) -
         )
     never = seen[:, 1:].sum(axis=0) == 0
     if np.count_nonzero(~never) > 3:
-        # What no block shows is less than it could hide: detail falls with a power of frequency.
+        # What no block shows is less than it could hide: ln(detail) is a parabola of ln(frequency).
         octave = np.log(np.hypot(*np.divmod(np.arange(1, SIDE * SIDE), SIDE)))
         line = np.polyfit(octave[~never], frequency[0, 1:][~never], 2)
         frequency[0, 1:][never] = np.minimum(frequency[0, 1:], np.polyval(line, octave))[never]

@@ -19,7 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.patch_errors import LEAST_USABLE, MOST_BIAS, TRIM
-from camctl.evidence.patch_noise import NoisePatches, VarianceModel, electrons_per_level
+from camctl.evidence.patch_noise import (
+    LEAST_STEP,
+    NoisePatches,
+    VarianceModel,
+    electrons_per_level,
+)
 from camctl.evidence.patches import Patches
 from camctl.model.block_rounding import BlockRounding
 from camctl.model.distribution import MAX_READ_NOISE
@@ -51,7 +56,6 @@ _COMPRESSED = 255
 #: Share of the patches that may show something that moved, standard errors that are no chance, and
 #: the least excess of variance, levels squared: a third of that of the quantisers.
 _OUTLIERS, _CHANCE, _LEAST_EXCESS = 0.02, 5.0, 1 / 36
-_SMALLEST_STEP = 1e-12
 #: Change of the noise, as a share of what a patch shows or of rounding, for the slope of variances.
 _SMALL_CHANGE = 0.02
 
@@ -177,7 +181,7 @@ def _compression(patches: NoisePatches, model: VarianceModel, noise: _Floats) ->
     """
     table = model.tables(noise)
     expected = patches.fitted(model, table).moments(model, table).variance
-    steps = np.maximum(12 * patches.quantisers.sum(axis=0), _SMALLEST_STEP)
+    steps = np.maximum(12 * patches.quantisers.sum(axis=0), LEAST_STEP)
     excess = (patches.variance - expected) / steps
     most = float(np.quantile(excess, 1 - _OUTLIERS))
     excess = np.minimum(excess, most)

@@ -25,8 +25,9 @@ from camctl.model.sample_moments import SampleMoments, range_means
 _LEAST_RANGE = 0.05
 #: Share of the variance from which on the square of the quantisers' mean errors counts.
 _NOTABLE = 1e-3
-#: Square of a step that is not less, levels squared.
-_LEAST_STEP = 1e-12
+LEAST_STEP = 1e-12
+"""Square of a step that is not less, levels squared."""
+
 #: Rounds in which the light of a patch is found, and standard errors up to which its contrast is
 #: chance.
 _CENTRING, _CHANCE = 4, 2.0
@@ -205,7 +206,7 @@ class NoisePatches:
 
     @property
     def _squared_steps(self) -> _Floats:
-        return np.maximum(12 * self.quantisers, _LEAST_STEP)
+        return np.maximum(12 * self.quantisers, LEAST_STEP)
 
     def moments(self, model: VarianceModel, table: _Floats) -> _Moments:
         """Return what noise and quantisers make of the patches, see `VarianceModel.tables`."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from statistics import NormalDist
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,28 +30,31 @@ _Marks = NDArray[np.bool_]
 _Floats = NDArray[np.float64]
 
 
-def wrong_lines(
-    pair: tuple[FrameSample, FrameSample],
-    ratio: float,
-    sensor: SensorModel,
-    grid: tuple[int, int],
-) -> bool:
+class LightLimits(NamedTuple):
+    """Between which limits the light of each patch of a frame is: infinite where it is saturated.
+
+    Attributes:
+        low, high: (patches,)
+    """
+
+    low: _Floats
+    high: _Floats
+
+
+def wrong_lines(pair: tuple[LightLimits, LightLimits], ratio: float, grid: tuple[int, int]) -> bool:
     """Return whether some lines of one of two frames contradict the other frame, and others not.
 
     Args:
-        pair: the frames
+        pair: the frames, see `light_limits`
         ratio: of their exposures, the second over the first
-        sensor: the camera's
         grid: rows and columns of the patches of a colour; colours of other grids do not count
     """
-    contradicts, compared = _contradictions(pair, ratio, sensor)
+    contradicts, compared = _contradictions(*pair, ratio)
     return _are_lines(_by_line(contradicts, grid), _by_line(compared, grid))
 
 
 def is_wrong_alone(
-    frames: tuple[FrameSample, FrameSample, FrameSample],
-    exposures: tuple[float, float, float],
-    sensor: SensorModel,
+    frames: tuple[LightLimits, LightLimits, LightLimits], exposures: tuple[float, float, float]
 ) -> bool:
     """Return whether the second of three frames contradicts the others where these agree.
 
@@ -60,15 +64,10 @@ def is_wrong_alone(
     Args:
         frames: that were taken one after the other, in any order
         exposures: of them
-        sensor: the camera's
     """
     first, second, third = (
-        _contradictions((one, other), ratio, sensor)
-        for one, other, ratio in (
-            (frames[0], frames[1], exposures[1] / exposures[0]),
-            (frames[1], frames[2], exposures[2] / exposures[1]),
-            (frames[0], frames[2], exposures[2] / exposures[0]),
-        )
+        _contradictions(frames[one], frames[other], exposures[other] / exposures[one])
+        for one, other in ((0, 1), (1, 2), (0, 2))
     )
     wrong = (first[0] | second[0]) & third[1]
     count = np.count_nonzero(wrong)
@@ -79,15 +78,12 @@ def is_wrong_alone(
     )
 
 
-def _contradictions(
-    pair: tuple[FrameSample, FrameSample], ratio: float, sensor: SensorModel
-) -> tuple[_Marks, _Marks]:
+def _contradictions(one: LightLimits, other: LightLimits, ratio: float) -> tuple[_Marks, _Marks]:
     """Return which patches of two frames contradict, and which can be compared."""
-    one_low, one_high = _light(pair[0], sensor)
-    low, high = (each / ratio for each in _light(pair[1], sensor))
+    low, high = (each / ratio for each in other)
     # Nothing is known of the light of a patch that is saturated in both, or dark in both.
-    compared = (np.isfinite(one_high) | np.isfinite(high)) & ((one_low > 0) | (low > 0))
-    return compared & ((one_low > high) | (low > one_high)), compared
+    compared = (np.isfinite(one.high) | np.isfinite(high)) & ((one.low > 0) | (low > 0))
+    return compared & ((one.low > high) | (low > one.high)), compared
 
 
 def _by_line(marks: _Marks, grid: tuple[int, int]) -> _Marks:
@@ -121,8 +117,8 @@ def _is_wide(contradicts: _Marks, compared: _Marks) -> bool:
     return is_wide and int(np.count_nonzero(marks)) >= LEAST_PATCHES
 
 
-def _light(frame: FrameSample, sensor: SensorModel) -> tuple[_Floats, _Floats]:
-    """Return between which limits the light of each patch is: infinite where it is saturated."""
+def light_limits(frame: FrameSample, sensor: SensorModel) -> LightLimits:
+    """Return those of a frame of a camera, at the significance level divided over the patches."""
     count = frame.patches.shape[1]
     values = sensor.light[frame.patches]
     mean = values.mean(axis=1)
@@ -131,4 +127,4 @@ def _light(frame: FrameSample, sensor: SensorModel) -> tuple[_Floats, _Floats]:
     error += np.square(BLACK_ERROR_LEVELS * sensor.level) + np.square(RESPONSE_ERROR * mean)
     limit = -NormalDist().inv_cdf(SIGNIFICANCE / 2 / len(mean)) * np.sqrt(error)
     is_cut = (frame.patches > sensor.highest(frame.noise)).any(axis=1)
-    return mean - limit, np.where(is_cut, math.inf, mean + limit)
+    return LightLimits(mean - limit, np.where(is_cut, math.inf, mean + limit))

@@ -26,7 +26,7 @@ from camctl.evidence.quantiles import student
 from camctl.evidence.ratio_check import MOST, significant_sigmas
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import ESTIMATED_RESPONSE_ERROR, JPEG_BLOCK_ERROR, JPEG_ERROR
-from camctl.system.picture_operations import level_counts, looked_up, reduced_by_area
+from camctl.system.picture_operations import dilated, level_counts, looked_up, reduced_by_area
 
 #: Brightness levels that are distinguished; of more bits than eight, equal steps of the square root
 #: of the brightness, as photon noise has them, and of a share of full scale more: as read noise.
@@ -72,7 +72,7 @@ def moved_samples(
     moved = _deviates(cut, partial(_cell_means, shape=shape), _CELL_SIDE**2)
     if not 0 < moved.mean() < MOST:
         return None
-    moved = _with_neighbours(moved)
+    moved = dilated(moved.view(np.uint8), (3, 3)).view(np.bool_)
     place = [
         np.minimum(np.arange(length) * cells // length, cells - 1)
         for length, cells in zip((rows, columns), moved.shape, strict=True)
@@ -221,10 +221,3 @@ def _smoothed(values: FloatArray) -> FloatArray:
     for k in range(1, 2 * _NEAR + 1):
         total += padded[k : k + len(values)]
     return total / (2 * _NEAR + 1)
-
-
-def _with_neighbours(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return cells that are set or have one of the eight around them set."""
-    padded = np.pad(cells, 1)
-    down = padded[:-2] | padded[1:-1] | padded[2:]
-    return np.asarray(down[:, :-2] | down[:, 1:-1] | down[:, 2:])

@@ -156,7 +156,7 @@ def unlike_others(found: Likenesses, count: int) -> dict[int, Finding]:
         )
         sharpness = _sharpness(k, against)
         if resting < _LEAST_RESTING and common < MOST:
-            result[k] = Finding(code="other_view", frames=(k,), value=max(resting, 0.0))
+            result[k] = Finding(code="other_view", frames=(k,), value=resting)
         elif sharpness is not None and sharpness < 1 / _SHARPER:
             result[k] = Finding(code="blurred", frames=(k,), value=sharpness)
     return result

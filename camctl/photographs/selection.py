@@ -131,7 +131,7 @@ def of_one_view(
     count, found, unlike = len(selection.photographs), views.likenesses, views.unlike
     displaced = views.displaced
     if not displaced and (pair := unlike_each_other(found, count)) is not None:
-        finding = Finding(code="other_view", frames=pair, value=max(found[pair].resting, 0.0))
+        finding = Finding(code="other_view", frames=pair, value=found[pair].resting)
         notes.append(at(finding, selection.positions))
     nearly = {
         k: at(each, selection.positions)

@@ -20,6 +20,7 @@ from camctl.evidence.chroma import (
     NOISE_OF_Y,
     ROUNDING,
     has_few_chroma_samples,
+    patch_brightness,
     patch_chroma_variance,
 )
 from camctl.evidence.lost_detail import (
@@ -28,7 +29,6 @@ from camctl.evidence.lost_detail import (
     LostDetail,
     file_steps,
     lost_details,
-    patch_blocks,
 )
 from camctl.evidence.noise import NoiseFit, fit_noise
 from camctl.evidence.patch_noise import electrons_per_level
@@ -370,7 +370,7 @@ def _lost_details(
         noise.append(
             NOISE_OF_Y * np.sqrt(variances.take(bins)) / np.maximum(widths.take(bins), 1e-12)
         )
-    return lost_details([patch_blocks(each, 3) for each in samples], steps, noise)
+    return lost_details([patch_brightness(each) for each in samples], steps, noise)
 
 
 def is_noiseless(noise: Sequence[FrameNoise]) -> bool:

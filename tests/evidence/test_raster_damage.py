@@ -10,7 +10,7 @@ import pytest
 
 from camctl.evidence.light_ratio import NeighbourCheck
 from camctl.evidence.patches import patch_places
-from camctl.evidence.raster_damage import is_wrong_alone, wrong_lines
+from camctl.evidence.raster_damage import is_wrong_alone, light_limits, wrong_lines
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import ExposureSetting
 from camctl.sim.camera import SimulatedCamera
@@ -44,7 +44,8 @@ def found(scene: str, sensor: str, second: Pixels | None = None, ratio: float = 
     )
     planes = controls.layout.planes(frames[0])
     rows, columns, _ = patch_places(planes[0].shape, len(planes))
-    return wrong_lines(pair, ratio, check.scale, (rows.size, columns.size))
+    one, other = (light_limits(each, check.scale) for each in pair)
+    return wrong_lines((one, other), ratio, (rows.size, columns.size))
 
 
 @pytest.mark.parametrize("kind", sorted(set(DAMAGES) - {"corrupt"}))
@@ -85,8 +86,10 @@ def is_second_wrong(scene: str, sensor: str, changed: Callable[[list[Pixels]], N
     changed(frames)
     check = NeighbourCheck(controls.levels, controls.black, controls.layout)
     noise = controls.frame_noise(chosen)
-    one, other, last = (check.sample(*each) for each in zip(frames, noise, strict=True))
-    return is_wrong_alone((one, other, last), (1.0, 4.0, 16.0), check.scale)
+    one, other, last = (
+        light_limits(check.sample(*each), check.scale) for each in zip(frames, noise, strict=True)
+    )
+    return is_wrong_alone((one, other, last), (1.0, 4.0, 16.0))
 
 
 @pytest.mark.parametrize("kind", sorted(set(DAMAGES) - {"corrupt", "jpeg"}))
