@@ -12,41 +12,26 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from camctl.captures.plan import plan_for
+from camctl.captures.setting_findings import NOTABLE_DIFFERENCE
 from camctl.errors import CaptureError, DataError, UsageError
+from camctl.evidence.ratio_check import LAMP_DEPTH, MOST, SMALL_THING
 from camctl.exposure.goal import AUTO, CURVE, XI, CaptureRequest
-from camctl.exposure.light import LAMP_SHARE, Light
+from camctl.exposure.light import GAINED_FACTOR, LAMP_SHARE, MOST_UNSEEN_STOPS, Light
 from camctl.exposure.search.best import Search
 from camctl.findings import Detail, Finding
 from camctl.interface.controls import ExposureControls
+from camctl.model.response.names import RANGES
 from camctl.records.capture_plan import MUCH, NEARLY_MUCH, CapturePlan
 
-UNEXPECTED = 0.02
-"""Share of the samples that are saturated though metering did not show so much light, from which
-there is a finding."""
-
 MUCH_SPREAD = 0.01
-"""Share of the samples that are too bright by spread light, likewise."""
+"""Share of the samples that are too bright by spread light, from which there is a finding."""
 
 LOG = "log"
 
 #: Fewest effective levels that are advised: with fewer a picture shows steps.
 _LEAST_LEVELS = 16.0
-#: Advice that leaves more than `MUCH` outside helps if it leaves this part of it, at most.
-_HELPS = 0.7
-#: The advised picture has this part of the effective levels at least, where they are few.
-_FEWER = 0.6
-#: Where metering shows no light, a change may help that shows light darker by this factor.
-_DEEPER = 4.0
-#: Numbers of exposures, percentages that clip and factors of the range that are tried.
-_COUNTS, _CLIPS, _FACTORS = (3, 6), (1.0, 2.0, 3.0, 4.0), (2, 4, 16)
-#: A camera's longest time is used from this part of it on.
-_NEARLY = 0.99
-#: Stops by which a shorter exposure holds what lamps that flicker added, mostly.
-_FLICKER_STOPS = 0.5
-#: Range and stops of a bracket whose longest exposure is some hundred times shorter than for
-#: the whole light.  A range only a little smaller can have more spread light: another exposure of
-#: the bracket is then in the middle.
-_SMALL_RANGE, _SPREAD_STOPS = 256, 2.0
+#: Numbers of exposures that are tried.
+_COUNTS = (3, 6)
 
 
 @dataclass(frozen=True)
@@ -76,7 +61,7 @@ def range_findings(
 ) -> list[Finding]:
     """Return a finding for each end of the range that more than `MUCH` of the samples are beyond.
 
-    Where the light is not what was metered, more than `UNEXPECTED` is enough.
+    Where the light is not what was metered, more than `SMALL_THING` is enough.
 
     Args:
         request: what was asked for
@@ -87,13 +72,13 @@ def range_findings(
     """
     found = []
     metered = _metered_clip(request, plan)
-    if controls.repeatable and metered is not None and saturated > metered + UNEXPECTED:
+    if controls.repeatable and metered is not None and saturated > metered + SMALL_THING:
         found.append(
             Finding(
                 code="light_changed",
                 value=saturated,
                 details={"metered": metered},
-                remedies={"compensation_stops": request.compensation_stops - _FLICKER_STOPS},
+                remedies={"compensation_stops": request.compensation_stops - _flicker_stops()},
             )
         )
     elif saturated > MUCH:
@@ -124,6 +109,11 @@ def range_findings(
     return found
 
 
+def _flicker_stops() -> float:
+    """Return the stops by which an exposure holds the brightest light of lamps, up to tenths."""
+    return math.ceil(10 * math.log2(1 + LAMP_DEPTH)) / 10
+
+
 _Advice = tuple[dict[str, Any], dict[str, Detail]]
 """Changed fields of the request, and details: what they leave outside, and how long they take."""
 
@@ -149,9 +139,9 @@ def _shorter(request: CaptureRequest, plan: CapturePlan, controls: ExposureContr
             continue
         if best is None or tried.light.clips < best.outside:
             best = _Tried(shorter, tried, tried.light.clips)
-        if best.outside <= min(MUCH, _HELPS * light.clips):
+        if best.outside <= min(MUCH, MOST * light.clips):
             break
-    if best is None or best.outside > _HELPS * light.clips:
+    if best is None or best.outside > MOST * light.clips:
         return {}, {}
     return _advice(request, best)
 
@@ -177,7 +167,7 @@ def _shown(request: CaptureRequest, plan: CapturePlan, controls: ExposureControl
     assert light is not None  # it was metered
     if light.dark > MUCH:
         best = _most_shown(request, plan, plan.scene, controls)
-        if best is not None and best.outside <= _HELPS * light.dark:
+        if best is not None and best.outside <= MOST * light.dark:
             if best.outside > MUCH:
                 best = _with_another(best, plan.scene, controls)
             return _advice(request, best)
@@ -186,12 +176,12 @@ def _shown(request: CaptureRequest, plan: CapturePlan, controls: ExposureControl
     if light.unseen <= MUCH:
         return {}, {}
     longest_s = max(setting.time_s for setting in plan.settings)
-    reach = _reach(plan, controls) / _DEEPER
+    reach = _reach(plan, controls) / GAINED_FACTOR
     for tried in _tried(request, plan, plan.scene, controls):
         if tried.outside <= MUCH and _reach(tried.plan, controls) <= reach:
             remedies, details = _advice(request, tried)
             return remedies, {**details, "unseen": True}
-    if longest_s >= _NEARLY * controls.time_s.maximum:
+    if longest_s * (1 + NOTABLE_DIFFERENCE) >= controls.time_s.maximum:
         return {}, {"unseen": True, "longest_s": longest_s}
     return {}, {"unseen": True}
 
@@ -233,7 +223,7 @@ def _tried(
         tried = trial.plan or _predict(trial.request, light, controls)
         if tried is None or tried.light is None:
             continue
-        if tried.effective_levels < min(_LEAST_LEVELS, _FEWER * plan.effective_levels):
+        if tried.effective_levels < min(_LEAST_LEVELS, MOST * plan.effective_levels):
             continue
         if tried.light.clips <= max(MUCH, plan.light.clips):
             yield _Tried(trial.request, tried, tried.light.dark)
@@ -255,7 +245,7 @@ def _most_shown(
 def _with_another(first: _Tried, light: Light, controls: ExposureControls) -> _Tried:
     """Return a change with the one that helps most beside it, or alone if none does."""
     second = _most_shown(first.request, first.plan, light, controls)
-    if second is None or second.outside > _HELPS * first.outside:
+    if second is None or second.outside > MOST * first.outside:
         return first
     return second
 
@@ -305,11 +295,11 @@ def _trials(
         levels = math.floor(plan.light.needed_levels or 0.0)
         if levels >= _LEAST_LEVELS and request.accuracy is None:
             yield _Trial(replace(request, accuracy=float(levels)))
-        for factor in _FACTORS:
-            yield _Trial(replace(request, dynamic_range=plan.dynamic_range * factor))
+        for stops in range(1, 1 + math.floor(MOST_UNSEEN_STOPS)):
+            yield _Trial(replace(request, dynamic_range=plan.dynamic_range * 2.0**stops))
     if request.clip is None:
-        for percent in _CLIPS:
-            yield _Trial(replace(request, clip_percent=percent))
+        for percent in range(1, math.ceil(100 * MUCH)):
+            yield _Trial(replace(request, clip_percent=float(percent)))
     if plan.desired.name != LOG:
         yield _Trial(replace(request, response=LOG, gamma=None))
 
@@ -320,7 +310,9 @@ def spread_findings(
     """Return a finding if at least `MUCH_SPREAD` of the samples are too bright by spread light.
 
     A bright thing beside saturated samples that moved looks the same.  What helps is a shorter
-    longest exposure, and better still to keep the light that saturates out of the picture.
+    longest exposure, and better still to keep the light that saturates out of the picture.  A range
+    only a little smaller can have more spread light: another exposure of the bracket is then in the
+    middle.
 
     Args:
         request: what was asked for
@@ -333,11 +325,11 @@ def spread_findings(
     remedies: dict[str, Any] = {}
     if repeatable:
         is_free = request.ratios is None and request.response != CURVE
-        if is_free and plan.dynamic_range > _SMALL_RANGE:
-            remedies["dynamic_range"] = float(_SMALL_RANGE)
+        if is_free and plan.dynamic_range > RANGES["low"]:
+            remedies["dynamic_range"] = RANGES["low"]
         if request.base_s is not None:
-            remedies["base_s"] = request.base_s / 2**_SPREAD_STOPS
+            remedies["base_s"] = request.base_s / GAINED_FACTOR
         else:
-            remedies["compensation_stops"] = request.compensation_stops - _SPREAD_STOPS
+            remedies["compensation_stops"] = request.compensation_stops - math.log2(GAINED_FACTOR)
     details: dict[str, Detail] = {"photographs": not repeatable}
     return [Finding(code="light_spread", value=spread, details=details, remedies=remedies)]

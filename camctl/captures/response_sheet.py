@@ -17,7 +17,7 @@ from camctl.pictures.drawing import (
     TITLE,
     Drawing,
 )
-from camctl.records.capture_plan import CapturePlan
+from camctl.records.capture_plan import MUCH, CapturePlan
 from camctl.system.number_text import percent_text, range_text, time_text
 
 PANEL_WIDTH = 520
@@ -28,8 +28,6 @@ NOTABLY_UNSEEN = 0.01
 
 #: Width and largest height of what image.tiff holds.
 _STORED = 200, 150
-#: Share of the samples that are too dark from which the sheet says what helps.
-_MUCH_DARK = 0.3
 #: What each response is, in a few words.
 _MEANING = {
     "linear": "equal steps of light",
@@ -114,7 +112,7 @@ def response_sheet(
         notes.append(
             f"metering shows no light in {percent_text(unseen)}, all of which may be too dark"
         )
-    if is_range_given and any(panel.dark > _MUCH_DARK for panel in panels):
+    if is_range_given and any(panel.dark > MUCH for panel in panels):
         notes.append(
             "a range that the light decides has exposures that show the dark in "
             "each response, as far as the camera can"

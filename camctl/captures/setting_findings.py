@@ -6,14 +6,14 @@ import math
 
 from camctl.exposure.goal import XI, CaptureRequest
 from camctl.exposure.light import NOTABLE_SHARE, Light
+from camctl.exposure.search.settings import BASE_SLACK_ON_LIST_STOPS
 from camctl.findings import Detail, Finding
 from camctl.interface.controls import ExposureControls
 from camctl.records.capture_plan import CapturePlan
 
-#: Relative difference between requested and applied exposure from which there is a finding.
-_DIFFERENCE = 0.01
-#: The search may choose a shortest exposure a third of a stop below its limit, to fit the steps.
-_SLACK_STOPS = 0.34
+NOTABLE_DIFFERENCE = 0.01
+"""Relative difference between requested and applied exposure from which there is a finding."""
+
 #: A plan below this share of the effective levels of the requested ratios has a finding.
 _GOOD_SHARE = 0.9
 
@@ -45,19 +45,19 @@ def setting_findings(
         found += _shortened_finding(controls, request, plan)
     if request.base_s is not None:
         requested_s = request.base_s * 2.0**request.compensation_stops
-        if abs(plan.base_s / requested_s - 1) > _DIFFERENCE:
+        if abs(plan.base_s / requested_s - 1) > NOTABLE_DIFFERENCE:
             found.append(_differs("base_s", requested_s, plan.base_s))
     if request.ratios is not None:
         found += [
             _differs("ratios", requested, applied)
             for requested, applied in zip(plan.ratios, plan.exposures, strict=True)
-            if abs(applied / requested - 1) > _DIFFERENCE
+            if abs(applied / requested - 1) > NOTABLE_DIFFERENCE
         ]
     if request.mains_hz is not None:
         period_s = 0.5 / request.mains_hz
         for setting in plan.settings:
             count = setting.time_s / period_s
-            if abs(count - round(count)) > _DIFFERENCE * max(1.0, count) or count < 0.5:
+            if abs(count - round(count)) > NOTABLE_DIFFERENCE * max(1.0, count) or count < 0.5:
                 found.append(
                     Finding(code="flicker", value=setting.time_s, details={"period_s": period_s})
                 )
@@ -82,9 +82,9 @@ def _compensation_finding(
 ) -> list[Finding]:
     """Return a finding where a compensation goes beyond the camera's shutter times."""
     assert plan.metering is not None  # as the caller has checked
-    time, stops = controls.time_s, request.compensation_stops
+    time, stops, near = controls.time_s, request.compensation_stops, 1 + NOTABLE_DIFFERENCE
     requested_s = plan.metering.limit_s * 2.0**stops
-    if time.minimum * 0.99 <= requested_s <= time.maximum * 1.01:
+    if time.minimum <= requested_s * near and requested_s <= time.maximum * near:
         return []
     possible = math.log2(plan.base_s / plan.metering.limit_s)
     # In tenths, and within the camera's times: else the same finding would come again.
@@ -116,7 +116,9 @@ def _shortened_finding(
     """
     assert plan.metering is not None  # as the caller has checked
     allowed_s = plan.metering.limit_s * 2.0**request.compensation_stops
-    longer = controls.time_s.between(plan.base_s * 2.0**_SLACK_STOPS, allowed_s, 1)
+    # The search may choose it below its limit, to fit the camera's steps.
+    slack = 2.0**BASE_SLACK_ON_LIST_STOPS * (1 + NOTABLE_DIFFERENCE)
+    longer = controls.time_s.between(plan.base_s * slack, allowed_s, 1)
     if plan.objective != XI or request.mains_hz is not None or not longer:
         return []
     stops = math.log2(allowed_s / plan.base_s)

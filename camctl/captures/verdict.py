@@ -5,18 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from camctl.captures.setting_findings import NOTABLE_DIFFERENCE
 from camctl.evidence.delay import DelayError
-from camctl.evidence.ratio_check import LAMP_DEPTH, RatioCheck
+from camctl.evidence.ratio_check import MOST, RatioCheck
 from camctl.findings import Finding
 from camctl.records.report import UnfinishedCapture
-
-#: A frame contradicts the metered light if this share of its samples is saturated, beyond those
-#: that were expected to be: less may be noise or blooming near saturation, or a lamp.
-_BEYOND_METERED = 0.6
-#: Largest factor between two frames that lamps may explain.
-_LAMPS = (1 + LAMP_DEPTH) / (1 - LAMP_DEPTH)
-#: Exposures up to this factor count as the same.
-_SAME = 1.02
 
 
 def judge(
@@ -58,7 +51,7 @@ def judge(
     if reasons and error:
         reasons.append(late)
     elif reasons:
-        lamps = all(check.is_of_whole_picture and check.factor <= _LAMPS for _, check in certain)
+        lamps = all(check.may_be_lamps for _, check in certain)
         remedies = (mends if lamps and exposures_exact else {}) | (measure if delay_of else {})
         reasons[-1] = reasons[-1].model_copy(update={"remedies": remedies})
     if not exposures_exact:
@@ -80,6 +73,9 @@ def judge(
 def _brighter_than_metered(capture: UnfinishedCapture) -> list[Finding]:
     """Return which frame is white although the metered light is not; the first one, or none.
 
+    Most of its samples are saturated beyond those that were expected to be: fewer may be noise or
+    blooming near saturation, or a lamp.
+
     Of frames that are white altogether no ratio can be measured.
     """
     metering = capture.plan.metering
@@ -90,8 +86,8 @@ def _brighter_than_metered(capture: UnfinishedCapture) -> list[Finding]:
     for place, frame in enumerate(capture.frames):
         if (
             frame is not None
-            and frame.applied.exposure <= _SAME * limit
-            and frame.saturated_fraction > expected + _BEYOND_METERED
+            and frame.applied.exposure <= (1 + NOTABLE_DIFFERENCE) * limit
+            and frame.saturated_fraction > expected + MOST
         ):
             return [
                 Finding(

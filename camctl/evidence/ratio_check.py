@@ -28,8 +28,8 @@ exposure is wrong; with fewer, only parts of the picture disagree."""
 #: a wrong exposure does.
 LAMP_DEPTH = 0.4
 
-#: A thing that covers less of a frame's samples is small.
-_SMALL_THING = 0.02
+SMALL_THING = 0.02
+"""A thing that covers less of a frame's samples is small."""
 
 #: Share of a frame's samples that must be compared before its exposure counts as contradicted.
 LEAST_COMPARED = 0.1
@@ -72,6 +72,11 @@ class RatioCheck(ReportModel):
         return max(self.measured / self.expected, self.expected / self.measured)
 
     @property
+    def may_be_lamps(self) -> bool:
+        """Whether flickering lamps explain it: one frame has their most light, one the least."""
+        return self.is_of_whole_picture and self.factor <= (1 + LAMP_DEPTH) / (1 - LAMP_DEPTH)
+
+    @property
     def is_certain(self) -> bool:
         """Whether enough samples were compared."""
         return self.compared >= LEAST_COMPARED
@@ -79,7 +84,7 @@ class RatioCheck(ReportModel):
     @property
     def is_one_ratio(self) -> bool:
         """Whether most of what was compared changed by one ratio, and it is not a small thing."""
-        return self.moved <= MOST and self.compared >= _SMALL_THING
+        return self.moved <= MOST and self.compared >= SMALL_THING
 
     @property
     def is_of_whole_picture(self) -> bool:

@@ -28,9 +28,9 @@ and reflections cover 0.1 % to 0.3 % of a picture, a window covers more."""
 NOTABLE_SHARE = 5e-4
 """Share of the samples from which the line on the metered light names what the picture lacks."""
 
-LAMP_FACTOR = 4.0
-"""They clip only if they are this many times as bright as the rest, so that the range gains two
-stops."""
+GAINED_FACTOR = 4.0
+"""Factor of light that is worth another range: two stops.  Lamps clip only if they are this many
+times as bright as the rest, so that the range gains as much."""
 
 #: Lamps are apart from the rest where the stop between them has fewer samples than this share.
 _GAP_SHARE = 1e-5
@@ -40,7 +40,7 @@ LEAST_RANGE = 16.0
 
 #: Where the metering frames cannot tell the shadows from black, these are assumed to be darker by
 #: so many stops at least and at most.
-_LEAST_UNSEEN_STOPS, _MOST_UNSEEN_STOPS = 1.0, 4.0
+_LEAST_UNSEEN_STOPS, MOST_UNSEEN_STOPS = 1.0, 4.0
 #: The range is larger than what it must hold by this factor, for the noise of the metering.
 _MARGIN = 1.05
 
@@ -141,7 +141,7 @@ class Light:
             return self.seen_shadows
         unseen = self.unseen - DARK_SHARE
         in_stop = (self.share_below(4 * self.darkest) - self.share_below(self.darkest)) / 2
-        stops = unseen / max(in_stop, unseen / _MOST_UNSEEN_STOPS)
+        stops = unseen / max(in_stop, unseen / MOST_UNSEEN_STOPS)
         return float(self.darkest * 2.0 ** -max(stops, _LEAST_UNSEEN_STOPS))
 
     @property
@@ -194,7 +194,7 @@ class Light:
         if clip is not None:
             return self.highlights(clip) if clip else self.brightest
         end = self.highlights(LAMP_SHARE)
-        if end * LAMP_FACTOR > self.brightest or dynamic_range == math.inf:
+        if end * GAINED_FACTOR > self.brightest or dynamic_range == math.inf:
             return self.brightest
         end = self._below_lamps(end)
         if dynamic_range is None:

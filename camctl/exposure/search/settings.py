@@ -21,10 +21,12 @@ from camctl.exposure.settings_grid import SAME, SettingsGrid
 from camctl.interface.controls import Choices, Control, ExposureControls, ExposureSetting
 from camctl.model.response.desired import DesiredResponse
 
-#: The shortest exposure may be this far below its limit to fit the camera's steps, in stops.
 BASE_SLACK_STOPS = 1 / 6
-#: The same on a list of shutter times, where a step is often a third of a stop.
-_BASE_SLACK_ON_LIST_STOPS = 1 / 3
+"""The shortest exposure may be this far below its limit to fit the camera's steps, in stops."""
+
+BASE_SLACK_ON_LIST_STOPS = 1 / 3
+"""The same on a list of shutter times, where a step is often a third of a stop."""
+
 #: Shutter times tried for the shortest exposure, each with the settings nearest to the ratios, and
 #: the number of them, the best ones, for which neighbouring settings are tried, too.
 _BASES, _KEPT_BASES = 24, 4
@@ -360,7 +362,7 @@ def search_choices(
 
     available = _listed_exposures(controls)
     base_s = true_s(at_most(controls.time_s, limit_s))
-    least_s = base_s * 2.0**-_BASE_SLACK_ON_LIST_STOPS
+    least_s = base_s * 2.0**-BASE_SLACK_ON_LIST_STOPS
     if request.base_s is not None:
         least_s = base_s = true_s(given_base(controls.time_s, limit_s))
     exposures = sorted(available)
