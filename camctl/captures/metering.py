@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from camctl.errors import CaptureError, UsageError
 from camctl.evidence.light_ratio import NeighbourCheck
+from camctl.evidence.ratio_check import MOST
 from camctl.exposure.goal import CaptureRequest
-from camctl.exposure.light import Light, Metering
+from camctl.exposure.light import DARK_SHARE, Light, Metering
+from camctl.exposure.search.settings import BASE_SLACK_ON_LIST_STOPS
 from camctl.interface.camera import (
     Camera,
     Frame,
@@ -23,6 +25,7 @@ from camctl.interface.camera import (
 )
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.response.camera import FloatArray
+from camctl.model.sensor import FEWEST_LEVELS
 from camctl.system.number_text import time_text
 from camctl.system.picture_operations import level_counts
 
@@ -30,8 +33,6 @@ from camctl.system.picture_operations import level_counts
 OUTLIER_SHARE = 1e-4
 #: Target for the highlights, as a share of the levels: below white by a few times photon noise.
 TARGET_SHARE = 0.97
-#: Highlights at this share of the levels or above are measured well enough.
-_MEASURED_SHARE = 0.75
 #: A scene with no more than this share of the levels at the longest exposure is black.
 BLACK_SHARE = 0.01
 #: Metering frames at most; each step changes the time by a factor of up to `LARGEST_STEP`.
@@ -41,15 +42,9 @@ LARGEST_STEP = 16.0
 _FIRST_S = 1 / 60
 #: Samples of a plane that are counted, at most.
 _MOST_SAMPLES = 1 << 20
-#: More than this share of saturated samples at the shortest exposure: all is white.
-_WHITE_SHARE = 0.5
-#: A histogram takes light from a frame where it reaches this many levels, else from a longer one.
-_READABLE_LEVELS = 8
 #: Longest exposure for a histogram or a preview, s: the user waits for it, where so much is dark
 #: that the capture takes longer still.
 WAITED_S = 4.0
-#: Share of the samples that need not be distinguished from black.
-_UNREAD_SHARE = 0.005
 #: Frames are compared whose exposures differ by this factor or more.  The pixels do not follow
 #: where their light changes by less than this power of it: an unknown gamma curve has 0.4.
 _COMPARED_FACTOR, _LEAST_POWER = 4.0, 0.25
@@ -250,7 +245,9 @@ def meter(source: MeteringFrames, *, small_aperture: bool = False) -> Metering:
             target_s = math.sqrt(below * above) if below else time_s / LARGEST_STEP
         else:
             below, best = time_s, (setting, bright, clipped)
-            if bright >= _MEASURED_SHARE * levels.size or time_s >= longest:
+            # The shortest exposure need not be nearer to its limit: the light is in the gap.
+            most = _headroom(levels, max(bright - 1, 0))
+            if most <= 2.0**BASE_SLACK_ON_LIST_STOPS or time_s >= longest:
                 break
             target_s = time_s * _headroom(levels, bright)
             if above and target_s >= above:
@@ -272,7 +269,7 @@ def meter(source: MeteringFrames, *, small_aperture: bool = False) -> Metering:
             f"the picture is black even at {time_text(longest)}",
             hint="take the lens cap off, or light the scene",
         )
-    if clipped > _WHITE_SHARE:
+    if clipped > MOST:
         raise CaptureError(
             f"the picture is white even at {time_text(shortest)}",
             hint="close the aperture, or put a filter before the lens",
@@ -291,13 +288,13 @@ def light_histogram(source: MeteringFrames, metering: Metering, *, lower_end: fl
     """Return the histogram of the light, E = 1 at `limit_s`.
 
     A frame at the metered setting gives the highlights; each longer one gives the samples that had
-    fewer than `_READABLE_LEVELS` levels in the frame before, until only `_UNREAD_SHARE` of them is
-    darker, or all that is darker is below `lower_end`.  Times end at `WAITED_S`, where
-    the frames are not taken yet; from there on the gain rises.
+    fewer than `FEWEST_LEVELS` levels in the frame before, until `DARK_SHARE` of them is darker at
+    most, or all that is darker is below `lower_end`.  Times end at `WAITED_S`, where the frames are
+    not taken yet; from there on the gain rises.
     """
     controls = source.controls
     main, M = controls.levels.levels, controls.levels.M
-    readable = min(_READABLE_LEVELS, M)
+    readable = min(FEWEST_LEVELS, M)
     setting = metering.setting
     full = metering.limit_s * setting.exposure / setting.time_s
     colours = controls.plane_levels
@@ -311,9 +308,9 @@ def light_histogram(source: MeteringFrames, metering: Metering, *, lower_end: fl
         unread = unread or [np.ones(each.shape, np.bool_) for each in samples]
         most = frame.black + readable
         darker = [rest & (each < most) for rest, each in zip(unread, samples, strict=True)]
-        longer = _longer(controls, setting, M / (2 * _READABLE_LEVELS))
+        longer = _longer(controls, setting, M / (2 * FEWEST_LEVELS))
         last = (
-            sum(map(np.count_nonzero, darker)) <= _UNREAD_SHARE * sum(each.size for each in samples)
+            sum(map(np.count_nonzero, darker)) <= DARK_SHARE * sum(each.size for each in samples)
             or main[readable - 1] * scale <= lower_end
             or longer.exposure <= setting.exposure
         )

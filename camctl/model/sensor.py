@@ -42,8 +42,8 @@ ESTIMATED_RESPONSE_ERROR = 0.03
 """The same of a response estimated from photographs: radiance of the memorial photographs differs
 by 0.027 to 0.038 (rms of the natural logarithm) from the map of their authors."""
 
-#: With fewer levels the noise of a few electrons decides which samples are saturated.
-_FEWEST_LEVELS = 8
+FEWEST_LEVELS = 8
+"""With fewer levels the noise of a few electrons decides which samples are saturated."""
 
 #: Standard deviation of the error of a stated black level, a whole number: 1 / sqrt(12) levels.
 BLACK_ERROR_LEVELS = 12**-0.5
@@ -107,7 +107,7 @@ class SensorModel:
             self.deviation[: black + 1] = np.inf
         self.full = float(self.light[-1])
         self.level = 1 / (real.M + 1)
-        self.is_coarse = real.M < _FEWEST_LEVELS
+        self.is_coarse = real.M < FEWEST_LEVELS
         self.curvature: FloatArray = np.concatenate(
             ([0.0], np.abs(np.diff(self.light, 2)), [0.0] * min(1, self.light.size - 1))
         )

@@ -225,7 +225,7 @@ def test_wrong_control_delay_makes_a_capture_untrustworthy(
 def test_wrong_control_delay_is_noticed_where_all_frames_are_white(late: int) -> None:
     def shot(faults: Faults) -> CaptureReport:
         with camctl.open_camera(
-            "sim", scene="ramp", sensor="phone", size="160x120", faults=faults
+            "sim", scene="outdoor-sun", sensor="phone", size="160x120", faults=faults
         ) as camera:
             return capture(camera, CaptureRequest(ratios=(1.0, 1.003)))
 
