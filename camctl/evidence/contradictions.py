@@ -12,22 +12,17 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.evidence.explanation import NEAR
 from camctl.evidence.patch_errors import LEAST_PATCHES, PatchErrors, fitted_tables
 from camctl.evidence.patches import Patches, patch_places
-from camctl.evidence.ratio_check import SIGNIFICANCE
+from camctl.evidence.ratio_check import MOST, SIGNIFICANCE
 from camctl.findings import Finding, Place
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import JPEG_BLOCK_ERROR, RESPONSE_ERROR, SensorModel
 from camctl.system.picture_operations import AREA, HEIGHT, LEFT, TOP, WIDTH, connected_parts
 
-#: Share of the comparisons in which the others must contradict it and agree with each other.
-_MAJORITY = 0.7
 #: Other photographs that must be contradicted, and connected patches that make a place.
 _LEAST_OTHERS, _LEAST_PATCHES = 2, 4
-#: Each photograph is compared with so many of the next exposures.
-_NEXT = 3
-#: Largest share of the patches: where more differ, it is not a place.
-_MOST = 0.25
 
 _Mask = NDArray[np.bool_]
 
@@ -53,7 +48,7 @@ def contradictions(
         grid = marks.reshape(len(planes), rows.size, columns.size).any(axis=0)
         _, boxes = connected_parts(grid)
         boxes = boxes[1:][boxes[1:, AREA] >= _LEAST_PATCHES]
-        if not len(boxes) or grid.mean() > _MOST:
+        if not len(boxes) or grid.mean() > MOST:  # then it is not a place
             continue
         box = boxes[int(np.argmax(boxes[:, AREA]))].tolist()
         place = Place(
@@ -82,7 +77,7 @@ def _odd_ones(
     near = [
         (short, long)
         for place, short in enumerate(order)
-        for long in order[place + 1 : place + 1 + _NEXT]
+        for long in order[place + 1 : place + 1 + NEAR]
     ]
     limit = -NormalDist().inv_cdf(SIGNIFICANCE / 2 / max(len(near), 1) / size)
     # Of each photograph and patch: how many others it is brighter than, darker than, and like.
@@ -99,8 +94,8 @@ def _odd_ones(
     return np.asarray(
         (against >= _LEAST_OTHERS)
         & (np.minimum(counts[0], counts[1]) == 0)
-        & (against >= _MAJORITY * counts.sum(axis=0))
-        & (of_others <= (1 - _MAJORITY) * against)
+        & (against > MOST * counts.sum(axis=0))
+        & (of_others < MOST * against)
     )
 
 

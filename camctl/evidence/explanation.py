@@ -24,9 +24,9 @@ Compare = Callable[[int, int, float], RatioCheck]
 #: Returns the standard deviation of the logarithm of the ratio of two shots by what is no noise.
 Flicker = Callable[[int, int], float]
 
-#: Darker shots that each is compared with: after more wrong ones in a row, what is known of the
-#: shots before is not used, which loses the gain of one pair.
-_NEAR = 4
+NEAR = 4
+"""Darker shots that each is compared with: after more wrong ones in a row, what is known of the
+shots before is not used, which loses the gain of one pair."""
 
 #: Light is computed in single precision: no ratio is more exact, not even where there is no noise.
 _LEAST_ERROR = float(np.finfo(np.float32).eps)
@@ -144,7 +144,7 @@ class Explanations:
                 found.append((shot, had, score))
             most = max([most, *(score for _, _, score in found)])
             near.append(found)
-            if len(near) > _NEAR:
+            if len(near) > NEAR:
                 far = max([far, *(score for _, _, score in near.popleft())])
             skipped = after
         return skipped + most

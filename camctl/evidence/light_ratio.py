@@ -24,6 +24,7 @@ from camctl.evidence.quantiles import NORMAL_MAD
 from camctl.evidence.ratio_check import (
     LAMP_DEPTH,
     LEAST_COMPARED,
+    MOST,
     RatioCheck,
     significant_sigmas,
 )
@@ -41,10 +42,6 @@ MOST_CHANGE = 1.1
 """Factor by which lamps may change a ratio before the picture is not trustworthy, either."""
 #: Slowest usual flicker, Hz: twice the frequency of the mains.
 _FLICKER_HZ = 100.0
-#: Fewer samples give no ratio: half of a patch.
-_LEAST_SAMPLES = 32
-#: Logarithm of a ratio from which the prediction is made again with what was found.
-_FAR = 0.1
 #: Logarithm of a ratio that says nothing where it is the half of an interval: a factor of 2.
 _WIDEST = math.log(2.0)
 #: Rounds of the fit: the tolerance changes by less than a tenth after these.
@@ -173,7 +170,7 @@ class NeighbourCheck:
         off = votes.mean
         if not votes.logs.size or votes.tolerance > _WIDEST:
             off = self._rough(short, long, ratio)
-        if abs(off) > _FAR:  # its errors are those of another ratio
+        if abs(off) > votes.tolerance:  # its errors are those of another ratio
             found = ratio / math.exp(off)
             if found >= 1:
                 votes = self._votes(short, long, found)
@@ -189,7 +186,8 @@ class NeighbourCheck:
             logs = np.concatenate((logs, -white[0], darker[0]))
             counts = np.concatenate((counts, white[1], darker[1]))
         compared = counts.sum() / short.patches.size
-        is_unknown = counts.sum() < _LEAST_SAMPLES or votes.tolerance > _WIDEST
+        # Fewer samples than most of a patch give no ratio.
+        is_unknown = counts.sum() < MOST * short.patches.shape[1] or votes.tolerance > _WIDEST
         if is_unknown or self.scale.is_coarse:
             return RatioCheck(
                 expected=expected, measured=None, tolerance=1.0, agrees=True, moved=0.0

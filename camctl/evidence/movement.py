@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.marks import FALSE_ALARMS, STRIP_SAMPLES, Marks, Mask, Packed
+from camctl.evidence.ratio_check import MOST
 from camctl.evidence.residual import FrameRows, Pair
 from camctl.evidence.spill import only_beside_white
 from camctl.findings import Finding, Place
@@ -28,8 +29,6 @@ from camctl.system.picture_operations import connected_parts, dilated
 _MOST_PLACES = 5
 #: Where fewer samples than this share can be compared it is not known what moved.
 _LEAST_COMPARED = 1e-3
-#: Share of the blocks below which what moved is in a part of the picture.
-_MOST_LOCAL = 0.25
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,7 @@ class FoundMovement:
     @property
     def is_local(self) -> bool:
         """Whether things moved in a part of the picture, and most of it is at rest."""
-        return bool(self.places) and self.area < _MOST_LOCAL
+        return bool(self.places) and self.area < MOST
 
     @property
     def findings(self) -> list[Finding]:

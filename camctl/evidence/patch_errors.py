@@ -43,8 +43,6 @@ all samples of a brightness have moved."""
 #: Bins of brightness in which unknown noise is measured, at most: as many values as a fit of photon
 #: noise, read noise and the processing of photographs has bends.
 _MOST_BINS = 24
-#: Rounds of trimming.
-_ROUNDS = 6
 
 _Floats = NDArray[np.float64]
 
@@ -138,10 +136,12 @@ def _median_of_ascending(values: _Floats) -> float:
 
 def _trimmed_median(values: _Floats, spread: float) -> float:
     """Return the median of positive values, without those above by `TRIM` times `spread` of it."""
-    found = median(values)
-    for _ in range(_ROUNDS):
-        found = median(values[values <= found * (1 + TRIM * spread)])
-    return found
+    ascending, size = np.sort(values), 0
+    while size != ascending.size:
+        size = ascending.size
+        most = _median_of_ascending(ascending) * (1 + TRIM * spread)
+        ascending = ascending[: np.searchsorted(ascending, most, side="right")]
+    return _median_of_ascending(ascending)
 
 
 def _trimmed_mean(values: _Floats) -> float:

@@ -33,11 +33,14 @@ from camctl.evidence.patches import Patches
 from camctl.evidence.unknown_response import moved_patches
 from camctl.interface.camera import Pixels
 from camctl.model.noise import FrameNoise
-from camctl.model.sensor import JPEG_BLOCK_ERROR, RESPONSE_ERROR, Prediction, SensorModel
+from camctl.model.sensor import (
+    CLIPPING_SIGMAS,
+    JPEG_BLOCK_ERROR,
+    RESPONSE_ERROR,
+    Prediction,
+    SensorModel,
+)
 from camctl.system.picture_operations import opencv
-
-#: Standard deviations beyond which 1 of 2,000 samples is by noise.
-_USUAL_SIGMAS = 3.5
 
 FrameRows = Callable[[int, slice], Pixels]
 """Returns some rows of a frame by its position, black included."""
@@ -171,9 +174,9 @@ class Pair:
 
     @property
     def contradicting(self) -> float:
-        """Share of the samples of the patches that contradict: by noise alone 1 of 2,000."""
+        """Share of the samples of the patches that contradict: by noise alone 1 of 500."""
         parts = [np.array_split(each, self.colours) for each in self.samples]
-        limits = self.limits(_USUAL_SIGMAS)
+        limits = self.limits(CLIPPING_SIGMAS)
         found = [
             (before < limits.low[k][after]) | (before > limits.high[k][after])
             for k, (before, after) in enumerate(zip(*parts, strict=True))

@@ -10,6 +10,7 @@ Two effects are distinguished from movement, each by what one pair of frames sho
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.edges import Ranges
+from camctl.evidence.light_ratio import MOST_CHANGE
 from camctl.evidence.patch_errors import MEAN_RADIUS
 from camctl.evidence.ratio_check import MOST
 from camctl.evidence.residual import FrameRows, Limits, Pair
@@ -34,8 +36,6 @@ BESIDE = 16
 LOST = 0.05
 """Light only spreads if fewer than this share of the pixels that contradict become darker."""
 
-#: Distances from saturated pixels at which contradictions are counted, pixels along the columns.
-_DISTANCES = (2, 4, 8, 16)
 #: Parts of the map smaller than this share of it are light that spread if less than `LOST` of what
 #: contradicts there is away from saturated samples.
 _SMALL = 1 / 16
@@ -50,9 +50,6 @@ _STREAKS, _LEAST_STREAKS = 2.0, 20
 _AROUND = 9
 #: Or if fewer than `LOST` of those connected are darker in the longer frame than expected.
 #: With unknown noise that proves nothing: what became darker may not be found in the pair before.
-#: It does not where the first to the ninth tenth of them are brighter by nearly the same factor, up
-#: to this logarithm: their light changed, as under lamps that flicker.
-_ONE_FACTOR = 0.1
 #: Light spreads if this share of the pixels beside saturated ones contradict; the second share with
 #: unknown noise, since errors of JPEG files are larger there.  It ends where the share is less than
 #: the third one of the largest.
@@ -250,7 +247,11 @@ def _on_lines(
 
 
 def _has_one_factor(pair: Pair, marks: NDArray[np.bool_], short: Pixels, long: Pixels) -> bool:
-    """Return whether marked pixels of the longer frame are brighter by one factor than expected."""
+    """Return whether marked pixels of the longer frame are brighter by one factor than expected.
+
+    The first to the ninth tenth of them are, but for `MOST_CHANGE`: their light changed, as under
+    lamps that flicker.
+    """
     white, light = pair.saturated, pair.sensor.light
     marked = np.broadcast_to(
         marks if marks.ndim == short.ndim else marks[..., np.newaxis], short.shape
@@ -262,7 +263,7 @@ def _has_one_factor(pair: Pair, marks: NDArray[np.bool_], short: Pixels, long: P
     if not np.count_nonzero(both) > MOST * np.count_nonzero(marked):
         return False
     low, high = np.quantile(np.log(after[both] / before[both]), (0.1, 0.9))
-    return bool(high - low < _ONE_FACTOR)
+    return bool(high - low < math.log(MOST_CHANGE))
 
 
 def _darker(limits: Limits, short: Pixels, long: Pixels) -> NDArray[np.bool_]:
@@ -298,7 +299,10 @@ def _reach(found: NDArray[np.bool_], source: NDArray[np.bool_], least: float) ->
     many contradict far from saturated ones, as with things that moved.
     """
     within, rates = source, []
-    for distance in _DISTANCES:
+    distances = [ACROSS]
+    while distances[-1] < BESIDE:
+        distances.append(2 * distances[-1])
+    for distance in distances:
         reached = dilated(source.view(np.uint8), (2 * distance + 1, 1)).view(np.bool_)
         ring = reached & ~within
         size = np.count_nonzero(ring)
@@ -306,7 +310,7 @@ def _reach(found: NDArray[np.bool_], source: NDArray[np.bool_], least: float) ->
         if len(rates) == 2 and not max(rates) >= least:
             return 0
         within = reached
-    for nearer, rate in zip(_DISTANCES[:-1], rates[1:], strict=True):
+    for nearer, rate in zip(distances[:-1], rates[1:], strict=True):
         if rate <= _ENDS * max(rates[:2]):
             return nearer
     return 0

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.chroma import OF_Y, brightness
+from camctl.evidence.patch_errors import LEAST_PATCHES
 from camctl.evidence.patches import Patches
 from camctl.evidence.quantiles import student
 from camctl.evidence.ratio_check import MOST, significant_sigmas
@@ -33,15 +34,12 @@ from camctl.system.picture_operations import dilated, level_counts, looked_up, r
 _LEVELS, _READ_NOISE = 256, 0.003
 #: Samples on each side of a cell.
 _CELL_SIDE = 4
-#: Levels on each side that count as one in the joint histogram (noise), and samples that a level
-#: needs to say where the other frame is.
-_NEAR, _FEW = 2, 30.0
+#: Levels on each side that count as one in the joint histogram (noise).
+_NEAR = 2
 #: Level from which on a sample may be a saturated one, as JPEG changes it.
 _SATURATED = round((1 - JPEG_ERROR) * (_LEVELS - 1))
 #: Level that such a sample has at least without the changes of JPEG.
 _LEAST_SATURATED = round((1 - 2 * JPEG_ERROR) * (_LEVELS - 1))
-#: Error of a sample at most, by its level in the longer frame: what is saturated may be brighter.
-_MOST_ERROR = np.where(np.arange(_LEVELS) < _SATURATED, np.inf, 0).astype(np.float32)
 
 Values: TypeAlias = NDArray[np.float32]
 
@@ -158,7 +156,7 @@ def _errors(
     predicted = looked_up(expected, after)
     errors = before - predicted
     # What is saturated in the longer frame may be brighter.
-    np.minimum(errors, looked_up(_MOST_ERROR, after), out=errors)
+    np.minimum(errors, 0, out=errors, where=after >= _SATURATED)
     files = (1 / 12 + JPEG_BLOCK_ERROR**2 / 2) * (1 + np.square(np.gradient(expected)))
     shared = means(looked_up(files.astype(np.float32), after))
     return errors, shared + np.square(ESTIMATED_RESPONSE_ERROR * means(predicted))
@@ -172,7 +170,7 @@ def _expected(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> Values:
     seen[0] = seen[:, 0] = 0  # clipped at black
     curve = _ascending_path(seen)
     # What is saturated is at least as bright as what is not, and of which enough is seen.
-    known = np.flatnonzero(seen[: _LEAST_SATURATED + 1].sum(axis=1) >= _FEW)
+    known = np.flatnonzero(seen[: _LEAST_SATURATED + 1].sum(axis=1) >= LEAST_PATCHES)
     expected = np.full(_LEVELS, curve[known[-1] if known.size else 0], np.float32)
     expected[:_SATURATED] = curve
     return expected
@@ -198,7 +196,7 @@ def _ascending_path(counts: FloatArray) -> FloatArray:
     """
     size = len(counts)
     near = _smoothed(_smoothed(counts).T).T
-    total = [near.sum(axis=axis) + _FEW for axis in (1, 0)]
+    total = [near.sum(axis=axis) + LEAST_PATCHES for axis in (1, 0)]
     implied = near**2 / total[0][:, None] / total[1]
     highest, best = np.empty((size, size)), np.zeros(size)
     for level, gain in enumerate(implied):

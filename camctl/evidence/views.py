@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.evidence.explanation import NEAR
 from camctl.evidence.patch_errors import LEAST_PATCHES, weighted_quantile
 from camctl.evidence.patches import Patches
 from camctl.evidence.ratio_check import MOST, SIGNIFICANCE
@@ -32,12 +33,10 @@ _BLACK = 0.01
 _POOLED = 2
 #: Standard deviation of the brightness within a patch that is structure, share of full scale.
 _STRUCTURE = 4 / 255
-#: Of another view nothing rests, and of the same one at least half: the limit is in the middle.
+#: Of another view nothing rests, and of the same one most: the limit is in the middle.
 _LEAST_RESTING = MOST / 2
 #: Photographs are equally sharp up to this factor between their contrasts.
 _SHARPER = 1.15
-#: Each photograph is compared with so many of the next brightness.
-_NEXT = 4
 
 _Floats = NDArray[np.float64]
 
@@ -90,7 +89,7 @@ def likenesses(patches: Sequence[Patches], colours: int, black: int, white: int)
     ]
     found = {}
     for place, dark in enumerate(order):
-        for bright in order[place + 1 : place + 1 + _NEXT]:
+        for bright in order[place + 1 : place + 1 + NEAR]:
             contrasts = _Contrasts.of(planes[dark], planes[bright], white)
             if contrasts.size < LEAST_PATCHES:
                 continue
