@@ -59,10 +59,10 @@ _FRAME_SAMPLES = 1 << 22
 #: Rows of a strip at most: radiance.exr is compressed in blocks of 32, two of them at once.
 _STRIP_ROWS = 64
 
-#: Bits kept of the fraction of irradiance: as many as make the rounding 1/20 of the standard
-#: deviation, which adds 0.1 % to it, from 8 (0.2 %) up.  Files are smaller, and are written in half
+#: Bits kept of the fraction of irradiance: as many as make the rounding 1/10 of the standard
+#: deviation, which adds 0.5 % to it, from 8 (0.2 %) up.  Files are smaller, and are written in half
 #: the time.
-_LEAST_BITS, _ROUNDING = 8, 1 / 20
+_LEAST_BITS, _ROUNDING = 8, 1 / 10
 
 
 def encode(desired: DesiredResponse, E: NDArray[Any]) -> NDArray[np.uint16]:
@@ -182,13 +182,13 @@ class Rendering:
     def deviations_are_halves(self) -> bool:
         """Whether float16 has all standard deviations of the pictures.
 
-        It has those of at least 2^-15 exactly, since they have `DEVIATION_BITS` bits; of few
-        samples, as between levels that nearly coincide, they are less than `deviations` says.
+        Below 2^-14 it has multiples of 2^-24, which changes 2^-20 by at most 1/32; the deviations
+        of few samples, as between levels that nearly coincide, are less than `deviations` says.
         """
         least, most = self.light.deviations
         # Interpolation at most halves a deviation.
         halved = 2 if self.layout.is_mosaic else 1
-        return bool(least / halved >= 2.0**-15 and most * 2 <= float(np.finfo(np.float16).max))
+        return bool(least / halved >= 2.0**-20 and most * 2 <= float(np.finfo(np.float16).max))
 
     @cached_property
     def lights_are_halves(self) -> bool:

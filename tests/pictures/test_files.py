@@ -86,6 +86,27 @@ def test_channels_of_radiance_exr(
         assert np.array_equal(found, memory.picture(each))
 
 
+def test_small_deviations_are_halves_within_a_32nd(tmp_path: Path) -> None:
+    """Those of 2^-20 to 2^-15 of the unit, which float16 has with fewer bits; in run lengths."""
+    total, how = rendered(Layout.RGB)
+    how = replace(
+        how, light=replace(how.light, unit=how.light.deviations[0] * how.light.unit * 2**19)
+    )
+    write_picture_files(total, how, details(), tmp_path)
+    with OpenEXR.File(str(tmp_path / "radiance.exr"), separate_channels=True) as file:
+        assert {channel.pixels.dtype for channel in file.channels().values()} == {np.dtype("f2")}
+        assert file.header()["compression"] == OpenEXR.RLE_COMPRESSION
+    memory = MemoryStore()
+    memory.keep_pictures(total, how, details())
+    exact = memory.picture("deviation")
+    assert 2.0**-20 < exact.min() < 2.0**-18
+    found = FolderStore(tmp_path).picture("deviation")
+    np.testing.assert_allclose(found, exact, rtol=1 / 32)
+    light = FolderStore(tmp_path).picture("radiance") - memory.picture("radiance")
+    known = np.isfinite(exact)
+    assert (np.abs(light)[known] <= exact[known] / 16).all()
+
+
 @pytest.mark.parametrize("exactness", [1, 16])
 def test_light_of_many_digits_or_negative_is_kept(exactness: int, tmp_path: Path) -> None:
     """Colours outside of BT.709 are negative; light with little noise needs float32."""
@@ -108,7 +129,7 @@ def test_light_of_many_digits_or_negative_is_kept(exactness: int, tmp_path: Path
 
 @pytest.mark.parametrize("layout", list(Layout))
 def test_radiance_is_the_estimate_from_all_frames(layout: Layout, tmp_path: Path) -> None:
-    """It is rounded by a 20th of its deviation; the pixels of a mosaic are interpolated."""
+    """It is rounded by a 10th of its deviation; the pixels of a mosaic are interpolated."""
     total, how = rendered(layout)
     write_picture_files(total, how, details(), tmp_path)
     frames = [how.frames(place, slice(None)) for place in range(how.count)]
