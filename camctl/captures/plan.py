@@ -10,11 +10,12 @@ import numpy as np
 
 from camctl.captures.metering import meter_light
 from camctl.captures.setting_findings import setting_findings
+from camctl.exposure.accurate.judge import JUDGED_FRAMES
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.goal import AUTO, CaptureRequest
 from camctl.exposure.light import Light
 from camctl.exposure.noise import DITHERS, coarser
-from camctl.exposure.objective import Objective
+from camctl.exposure.objective import xi
 from camctl.exposure.search.best import Search
 from camctl.exposure.search.front import SAME_LEVELS
 from camctl.exposure.search.ranges import Chosen
@@ -23,11 +24,10 @@ from camctl.exposure.search.wall_time import predicted_wall_s
 from camctl.exposure.table import ExposureTable
 from camctl.findings import Finding
 from camctl.interface.camera import Camera
-from camctl.interface.controls import ExposureControls
-from camctl.model.effective import EffectiveCamera
+from camctl.interface.controls import ExposureControls, ExposureSetting
+from camctl.model.effective import EffectiveCamera, effective_levels
 from camctl.model.inverse import posterior_of
 from camctl.model.response.desired import DesiredResponse
-from camctl.pictures.render import DARK, sum_mask
 from camctl.records.capture_plan import CapturePlan, PlannedLight
 
 #: Irradiances at which the share below the range is computed: 20 in each of 20 stops.
@@ -87,26 +87,25 @@ def plan_for(
     chosen = search.best(controls, light)
     desired, settings, ratios = chosen.desired, chosen.settings, chosen.ratios
     levels_wanted = request.levels_wanted or float(len(ratios) * real.M)
-    objective, exposures = Objective(levels_wanted), controls.relative_exposures(settings)
+    exposures = controls.relative_exposures(settings)
     noise = None if controls.noise is None else controls.frame_noise(settings)
 
     # Before the levels, which follow from the same table.
     planned = None if light is None else planned_light(light, chosen, controls)
 
+    front, levels = chosen.front, chosen.levels
+
     def levels_of(some: Sequence[float]) -> float:
         """Return the effective levels of exposures, kept where there is a front."""
-        if chosen.front is not None and noise is not None:
-            return chosen.front.levels_with(some, noise)
-        return evaluate(real, desired, some, objective=objective, noise=noise).effective_levels
+        if front is None or noise is None:
+            return evaluate(real, desired, some, noise=noise).effective_levels
+        if levels is None or not front.is_smooth or _is_rated_by_all(controls, settings):
+            return front.levels_with(some, noise)
+        return front.levels_like(levels, settings, some)  # in much less time
 
-    if chosen.front is not None and noise is not None:
-        levels = chosen.levels
-        if levels is None or real.M <= _MOST_EXACT:  # else as exact, in a tenth of the time
-            levels = levels_of(exposures)
-        expected = evaluate(real, desired, exposures, objective=objective)
-        expected = replace(expected, effective_levels=levels)
-    else:
-        expected = evaluate(real, desired, exposures, objective=objective, noise=noise)
+    if levels is None or noise is None or _is_rated_by_all(controls, settings):
+        levels = levels_of(exposures)
+    camera = EffectiveCamera.of(real, exposures)
     plan = CapturePlan(
         response=request.response,
         dynamic_range=desired.dynamic_range,
@@ -116,9 +115,9 @@ def plan_for(
         base_s=settings[0].time_s,
         shutter_s=sum(setting.time_s for setting in settings),
         levels_wanted=levels_wanted,
-        xi=expected.xi,
-        effective_levels=expected.effective_levels,
-        effective_levels_noise_free=expected.effective_levels_noise_free,
+        xi=xi(camera, desired, levels_wanted),
+        effective_levels=levels,
+        effective_levels_noise_free=effective_levels(camera, desired),
         metering=None if light is None else light.metering,
         curve=_samples(desired) if request.response == AUTO else request.desired_curve,
         gamma=request.gamma,
@@ -130,7 +129,7 @@ def plan_for(
         scene=light if planned is not None and planned.needs_advice else None,
         front=chosen.front,
     )
-    possible = expected.effective_levels
+    possible = levels
     if noise is None or not np.allclose(exposures, ratios, rtol=SAME_LEVELS, atol=0.0):
         possible = levels_of(ratios)
     return replace(
@@ -174,9 +173,20 @@ def _dark_share(light: Light, end: float, chosen: Chosen, controls: ExposureCont
     dithers = DITHERS if controls.levels.M <= _MOST_EXACT else 0.0
     camera, noise = coarser(camera, controls.frame_noise(settings), dithers)
     posterior = posterior_of(camera, chosen.desired, noise)
+    has_noise = controls.noise is not None and not controls.noise.is_none
+    if has_noise and _is_rated_by_all(controls, settings):
+        posterior.inverse  # noqa: B018 - levels and pictures need it; it has what is dark, too
     E = np.geomspace(irradiance[0], irradiance[-1], _NODES)
-    dark = posterior.shares(E, sum_mask(posterior) == DARK)
+    dark = posterior.dark_shares(E)
     return float(np.interp(irradiance, E, dark) @ light.shares)
+
+
+def _is_rated_by_all(controls: ExposureControls, settings: Sequence[ExposureSetting]) -> bool:
+    """Return whether a plan is rated by all levels, once more than by the search.
+
+    The search has done so for many frames, and does nearly as well for many levels.
+    """
+    return controls.levels.M <= _MOST_EXACT and len(settings) <= JUDGED_FRAMES
 
 
 def _samples(desired: DesiredResponse) -> tuple[tuple[float, float], ...]:

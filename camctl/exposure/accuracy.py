@@ -155,14 +155,26 @@ def sets_within(problem: AccuracyProblem, counts: Sequence[int], limit: float) -
 
 
 def most_accurate(
-    search: AccurateSets, limit: float = math.inf, near_tie: float = NEAR_TIE
+    search: AccurateSets,
+    limit: float = math.inf,
+    near_tie: float = NEAR_TIE,
+    *,
+    judged: bool = True,
 ) -> Rated:
-    """Return the most accurate set; where time does not bind, the shortest nearly as accurate."""
+    """Return the most accurate set; where time does not bind, the shortest nearly as accurate.
+
+    If it need not be `judged`, a set of many frames has its estimated levels.
+    """
+    is_bound = not search.enumerated and search.is_bound(limit)
+    if near_tie and not is_bound:
+        found = search.nearly_most_accurate(1 - near_tie)
+        if found is not None:
+            return search.judge(found.shots) if judged else found
     best = search.within(limit)
-    if not near_tie or (not search.enumerated and search.is_bound(limit)):
+    if not near_tie or is_bound:
         return best
     levels = (1 - near_tie) * best.levels
-    near = search.reaching(levels, best.time) or search.shortened(best, levels)
+    near = search.reaching(levels, best.time, like=best) or search.shortened(best, levels)
     return min(best, near, key=_time_then_count)
 
 

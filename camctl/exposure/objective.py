@@ -25,6 +25,7 @@ from camctl.exposure.noise import NoiseTerm
 from camctl.model.effective import (
     MOST_SEARCHED,
     EffectiveCamera,
+    blocks,
     check_count,
     check_exposures,
     quantisation_levels,
@@ -49,17 +50,16 @@ class _Pieces:
     width: FloatArray
 
 
-def _pieces_of(levels: FloatArray, desired: DesiredResponse) -> _Pieces:
-    """Return the gaps of ascending `levels` within [e_min, 1], divided at the knots of a table."""
-    last = [1.0] if levels[-1] < 1 else []
-    edges = np.concatenate([[0.0], levels, last])
+def _pieces_of(edges: FloatArray, desired: DesiredResponse) -> _Pieces:
+    """Return the gaps between edges within [e_min, 1], divided at the knots of a table."""
     low, high = edges[:-1], edges[1:]
     width = high - low
     low, high = np.maximum(low, desired.e_min), np.minimum(high, 1.0)
     kept = high > low
     low, high, width = low[kept], high[kept], width[kept]
     knots = desired.knots
-    if knots.size:
+    if knots.size and low.size:
+        knots = knots[(knots > low[0]) & (knots < high[-1])]
         cuts = np.union1d(low, knots)
         gap = np.searchsorted(low, cuts, side="right") - 1
         ends = np.minimum(np.append(cuts[1:], 1.0), high[gap])
@@ -127,7 +127,15 @@ def xi(
     """
     _check_norm(levels_wanted, p)
     levels = camera.levels if isinstance(camera, EffectiveCamera) else camera
-    excess = _excess_of(_pieces_of(levels, desired), desired, levels_wanted)
+    edges = np.concatenate([[0.0], levels, [1.0] if levels[-1] < 1 else []])
+    return sum(
+        _missing(_pieces_of(some, desired), desired, levels_wanted, p) for some in blocks(edges)
+    )
+
+
+def _missing(pieces: _Pieces, desired: DesiredResponse, levels_wanted: float, p: float) -> float:
+    """Return what some pieces add to the objective."""
+    excess = _excess_of(pieces, desired, levels_wanted)
     if p != 1:
         return _integral_of_power(excess, desired, levels_wanted, p)
     missing = levels_wanted * desired.rise(excess.start, excess.stop)

@@ -8,7 +8,7 @@ by m.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -32,6 +32,9 @@ COINCIDENCE = 1e-12
 In units of a frame's own gap at level k that is k * 1e-12 for a linear camera: at most 7e-8 of a
 gap up to 16 bits, and at least a thousand times the rounding error of E_k / e_j.
 """
+
+_BLOCK = 1 << 14
+"""Gaps that are looked at together: with several arrays of them a cache of 1 MB is full."""
 
 
 def check_count(n: int, most: int = MAX_EXPOSURES) -> None:
@@ -73,7 +76,7 @@ def _group_starts(levels: FloatArray) -> NDArray[np.intp]:
     does not become one group.
     """
     apart = np.diff(levels) > COINCIDENCE * levels[:-1]
-    starts = np.concatenate([[0], np.flatnonzero(apart) + 1])
+    starts = np.concatenate([np.zeros(1, np.intp), np.flatnonzero(apart) + 1])
     ends = np.concatenate([starts[1:], [levels.size]]) - 1
     chains = np.flatnonzero(levels[ends] - levels[starts] > COINCIDENCE * levels[starts])
     more: list[int] = []
@@ -85,6 +88,8 @@ def _group_starts(levels: FloatArray) -> NDArray[np.intp]:
             if first > ends[chain]:
                 break
             more.append(first)
+    if not more:
+        return starts
     return np.sort(np.concatenate([starts, np.array(more, dtype=np.intp)])).astype(np.intp)
 
 
@@ -136,7 +141,16 @@ def effective_levels(camera: EffectiveCamera, desired: DesiredResponse) -> float
 
 def quantisation_levels(levels: FloatArray, desired: DesiredResponse) -> float:
     """Return `effective_levels` of a camera with these ascending levels, (N,)."""
-    inside = levels[(levels > desired.e_min) & (levels < 1)]
-    edges = np.concatenate([[desired.e_min], inside, [1.0]])
-    gaps = desired.rise(edges[:-1], edges[1:])
-    return float(np.sum(gaps**3) ** -0.5)
+    first, last = np.searchsorted(levels, desired.e_min, "right"), np.searchsorted(levels, 1.0)
+    edges = np.concatenate([[desired.e_min], levels[first:last], [1.0]])
+    cubes = 0.0
+    for some in blocks(edges):
+        gaps = desired.rise(some[:-1], some[1:])
+        cubes += float(np.sum(gaps * gaps * gaps))
+    return float(cubes**-0.5)
+
+
+def blocks(edges: FloatArray) -> Iterator[FloatArray]:
+    """Yield ascending edges in blocks that begin where the one before ends: each fits a cache."""
+    for first in range(0, edges.size - 1, _BLOCK):
+        yield edges[first : first + _BLOCK + 1]

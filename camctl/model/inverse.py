@@ -64,6 +64,9 @@ Each has as many megabytes as its sum has tens of thousands of values."""
 _MOST_KEPT_LEVELS = 500_000
 """Levels of a camera up to which so many are kept, 50 MB each; of larger ones only the last is."""
 
+_FIRST_DARK = 1 / 16
+"""Brightness up to which nodes are looked at first for what sums say that it is dark."""
+
 _NOTABLE_DSNU = 0.01
 """Share of the variance in the dark from which the offsets of the pixels are integrated over."""
 
@@ -257,6 +260,52 @@ class Posterior:
             deviation=np.sqrt(np.maximum(np.interp(sums, sums[known], variance), 0.0)),
             mse=float(np.sum(inside * (v**2 + self._spread)) - np.sum(u * found[1])),
         )
+
+    @cached_property
+    def dark(self) -> NDArray[np.bool_]:
+        """Which sums say that the light is below the desired range, or show none."""
+        return self._darkness[0]
+
+    @cached_property
+    def _darkness(self) -> tuple[NDArray[np.bool_], float]:
+        """The sums that are dark, and an irradiance from which none of them occurs.
+
+        Without the rest of the inverse: light at v and more cannot have less than the least sum at
+        v, so that what lower sums say follows from the darker nodes alone.
+        """
+        v, weight = self._nodes
+        last = _FIRST_DARK
+        while last < 1 and "inverse" not in vars(self):
+            E = self._response.inverse(np.array([last]))
+            least = self._least_sum(E)
+            below = v < last
+            known, mean = self._totals(np.stack([weight, weight * v])[:, below], v[below])
+            sums = np.flatnonzero(known[:least] > _LEAST_KNOWN)
+            lit = sums[mean[sums] >= 0]
+            if lit.size and sums[-1] == lit[-1]:
+                values = np.interp(np.arange(least), sums, mean[sums] / known[sums])
+                found = np.zeros(self.sum.top + 1, np.bool_)
+                found[:least] = values < 0
+                found[: self.sum.black + 1] = True
+                return found, float(E[0])
+            last *= 2
+        found = self.desired.e_min > self.inverse.E
+        found[: self.sum.black + 1] = True
+        return found, np.inf
+
+    def _least_sum(self, E: FloatArray) -> int:
+        """Return the least sum that occurs at an irradiance, (1,)."""
+        first = np.zeros(1, np.intp)
+        found = (next(self.sum.probabilities(E, first, z))[0] for z, _ in self._offsets)
+        return min(int(start[0]) for start in found)
+
+    def dark_shares(self, E: FloatArray) -> FloatArray:
+        """Return the probability at each ascending irradiance (Q,) that the sum is dark."""
+        mask, lit = self._darkness
+        shares, below = np.zeros(E.size), lit > E
+        if below.any():
+            shares[below] = self.shares(E[below], mask)
+        return shares
 
     def errors(self, u: FloatArray) -> FloatArray:
         """Return the mean square error of `Inverse.u` at each of `u`, within 0 to 1, (Q,).

@@ -76,8 +76,7 @@ def sum_mask(posterior: Posterior) -> NDArray[np.uint8]:
     Dark is a sum that says that the light is below the desired range, or that shows no light.
     """
     mask = np.full(posterior.sum.top + 1, GOOD, np.uint8)
-    mask[: posterior.sum.black + 1] = DARK
-    mask[posterior.desired.e_min > posterior.inverse.E] = DARK
+    mask[posterior.dark] = DARK
     mask[-1] = SATURATED
     return mask
 

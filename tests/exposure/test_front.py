@@ -15,6 +15,7 @@ from sampling import some
 from camctl.errors import UsageError
 from camctl.exposure import cache
 from camctl.exposure.accuracy import TooInaccurateError
+from camctl.exposure.accurate import judge as judge_module
 from camctl.exposure.cache import cache_folder
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.noise import noisy_effective_levels
@@ -24,7 +25,7 @@ from camctl.exposure.search.wall_time import predicted_wall_s
 from camctl.interface.clock import CaptureTiming
 from camctl.interface.controls import Choices, ExposureControls, Layout, ResponseOrigin, Steps
 from camctl.model.effective import EffectiveCamera
-from camctl.model.noise import NoiseModel
+from camctl.model.noise import FrameNoise, NoiseModel
 from camctl.model.response.desired import DesiredResponse, desired_response
 from camctl.model.response.tabulated import tabulated_desired
 
@@ -156,6 +157,31 @@ def test_a_given_number_over_a_large_range_is_not_only_traced(
     """Exchanges from the fastest set on, weight by weight, end at 158.3 and at 157.9 levels."""
     front = Front(camera, desired_response("log", 2.0**14), BASE_S, request=CaptureRequest(count=n))
     assert front.chosen.levels >= least
+
+
+@pytest.mark.parametrize("bits", [8, 12])
+def test_of_many_frames_one_set_is_predicted_exactly(
+    bits: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has as many levels as the most accurate set of the search that judges all its sets."""
+    predicted = []
+
+    def counted(
+        camera: EffectiveCamera, desired: DesiredResponse, noise: list[FrameNoise]
+    ) -> float:
+        predicted.append(len(noise))
+        return noisy_effective_levels(camera, desired, noise)
+
+    monkeypatch.setattr(judge_module, "noisy_effective_levels", counted)
+    camera = STREAM
+    if bits == 12:
+        noise = NoiseModel(39.0625 / 16, ((1.0, 3.0),))
+        camera = replace(STREAM, bits=12, white=4095, noise=noise)
+    front = Front(camera, LOG, BASE_S, request=CaptureRequest(count=64))
+    point = front.chosen
+    assert predicted == [64]
+    assert point.levels == pytest.approx(levels_of(front, point), rel=1e-4)
+    assert front.at_time(2 * point.time_s).levels < 1.006 * point.levels
 
 
 def test_an_accuracy_is_reached_and_not_in_less_time() -> None:

@@ -219,3 +219,26 @@ def test_of_large_cameras_only_the_last_posterior_is_kept(monkeypatch: pytest.Mo
     assert kept()
     monkeypatch.setattr(inverse, "_MOST_KEPT_LEVELS", 5)
     assert not kept()
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        FrameNoise(20.0, 1.5),
+        FrameNoise(5.0, 0.05, black=4),
+        FrameNoise(40.0, 0.8, dark_levels=0.3, dsnu_levels=1.0),
+        FrameNoise(math.inf, 0.0),
+    ],
+)
+@pytest.mark.parametrize("exposures", [(1, 9.0, 80.0), (1, 200.0), (1, *range(2, 41))])
+def test_what_is_dark_follows_from_the_darker_nodes_alone(
+    frame: FrameNoise, exposures: tuple[float, ...]
+) -> None:
+    camera, noise = EffectiveCamera.of(EIGHT_BIT, exposures), [frame] * len(exposures)
+    alone, whole = Posterior(camera, LOG, noise), Posterior(camera, LOG, noise)
+    expected = LOG.e_min > whole.inverse.E
+    expected[: whole.sum.black + 1] = True
+    assert np.array_equal(alone.dark, expected)
+    assert "inverse" not in vars(alone)
+    E = np.geomspace(1e-5, 1.1, 200)
+    assert alone.dark_shares(E) == pytest.approx(whole.shares(E, expected), abs=1e-8)

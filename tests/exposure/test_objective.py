@@ -14,6 +14,7 @@ from camctl.errors import UsageError
 from camctl.exposure.evaluation import evaluate
 from camctl.exposure.noise import NoiseTerm
 from camctl.exposure.objective import ExposureProblem, Objective, xi
+from camctl.model import effective
 from camctl.model.effective import EffectiveCamera, effective_levels
 from camctl.model.response.camera import linear_response
 from camctl.model.response.desired import desired_response
@@ -86,6 +87,18 @@ def test_a_knot_inside_a_gap_is_integrated_exactly() -> None:
     steep, flat = 4 * 0.75 / 0.495, 4 * 0.25 / 0.495
     expected = (steep - 2) * 0.495 + (flat - 2) * 0.495
     assert xi(camera, table, 4) == pytest.approx(expected, rel=1e-14)
+
+
+@pytest.mark.parametrize("p", [1.0, 2.0])
+@pytest.mark.parametrize("block", [1, 7, 254])
+def test_blocks_of_gaps_add_up(block: int, p: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    table = tabulated_desired([0.01, 0.105, 0.3, 0.505, 1.0], [0.0, 0.3, 0.5, 0.75, 1.0])
+    camera = EffectiveCamera.of(EIGHT_BIT, (1, 1.7, 6))
+    cases = [table, desired_response("log", 300.0), desired_response("gamma", 100.0)]
+    whole = [(xi(camera, each, 700, p=p), effective_levels(camera, each)) for each in cases]
+    monkeypatch.setattr(effective, "_BLOCK", block)
+    parts = [(xi(camera, each, 700, p=p), effective_levels(camera, each)) for each in cases]
+    assert parts == pytest.approx(np.array(whole), rel=1e-12)
 
 
 @pytest.mark.parametrize("gamma", [0.4, 3.0])

@@ -20,9 +20,10 @@ from camctl.exposure.accurate.dark_zone import frame_accuracy
 from camctl.exposure.accurate.design import DesignSearch
 from camctl.exposure.accurate.estimate import FEW_LEVELS
 from camctl.exposure.accurate.frame_sets import Design
-from camctl.exposure.accurate.judge import Judge
+from camctl.exposure.accurate.judge import JUDGED_FRAMES, Judge
 from camctl.exposure.accurate.least_quantisation import COUNTS, least_quantisation
 from camctl.exposure.accurate.listed import ListedSets
+from camctl.exposure.accurate.tuning import CLOSE, CORRECTIONS, MIDDLE
 from camctl.exposure.exposure_choices import AccuracyProblem, Rated, bases
 from camctl.exposure.noise import DITHERS
 from camctl.exposure.random_sets import interleave_step
@@ -39,12 +40,6 @@ estimates of similar sets differ by less."""
 MOST_JUDGED, MOST_SMOOTH = 6, 2
 """Such sets that are judged, at most, and of their like at other gains; and where noise dithers the
 quantiser in the dark, too, so that the estimate errs alike for all of them."""
-
-JUDGED_FRAMES = 32
-"""Frames of sets that are judged at once, at most, for at least `MOST_SMOOTH` sets; half as many of
-their like at other gains.  What a rating costs grows with the frames of the set, and the estimate
-errs less for more of them.  With the fewest sets alone one of 36 cases has 0.53 % fewer levels;
-with 16 and 64 frames, 18 cases have as many (`tests/bench/bench_front_constants.py`)."""
 
 KNEE = 0.97
 """Share of the largest levels^2 / time from which more time counts as no better than averaging.
@@ -76,17 +71,8 @@ FEW = 5
 """Frames up to which every set of a front is judged: the ratio of the exact levels to the estimate
 differs by some per cent between them; from there on it changes by less than 1 %."""
 
-CORRECTIONS = 6
-"""Attempts to reach an accuracy by another time; each leaves about a tenth of what was missing."""
-
 JUDGEMENTS = 7
 """Sets with the same gains that are judged for an accuracy, at most; two are usually enough."""
-
-CLOSE = 1.001
-"""Ratio of effective levels up to which a set has not more of them than asked for."""
-
-MIDDLE = (1 + CLOSE) / 2
-"""Ratio that is aimed at."""
 
 TRACED = 1.1
 """Share of an accuracy up to which the front is traced: estimates err by less."""
@@ -290,8 +276,11 @@ class AccurateSets:
                     break
         return best
 
-    def reaching(self, levels: float, limit: float) -> Rated | None:
-        """Return the shortest set found within `limit` that has `levels`, or None."""
+    def reaching(self, levels: float, limit: float, *, like: Rated | None = None) -> Rated | None:
+        """Return the shortest set found within `limit` that has `levels`, or None.
+
+        `like` is a set of nearly as many levels, of which the estimate errs as much.
+        """
         best = self._listed.quickest(levels, limit) if self._listed.numbers else None
         if self.enumerated:
             return best
@@ -301,11 +290,13 @@ class AccurateSets:
             limit = min(limit, max(low, self.longest_of_use))
         if not self.dithered or self.searches[0].is_list:
             return self._shortest(levels, limit, time, best)
-        design, search = self._best_estimated(time)
-        rated = self.judge(search.shots(design))
-        goal = levels * design.levels / rated.levels  # as much as the estimate errs
+        if like is None:
+            design, search = self._best_estimated(time)
+            like = self.judge(search.shots(design))
+        goal = levels * self.judge.estimated(like.shots) / like.levels  # as the estimate errs
         time = max(low, min(self._estimated_time(goal), limit))
         design, search = self._best_estimated(time, thorough=True)
+        design = search.reduced(design, goal)
         fixed, missed, top = self.problem.available.costs.fixed, low, limit
         for _ in range(JUDGEMENTS):
             rated = self.judge(search.shots(design))
@@ -329,6 +320,24 @@ class AccurateSets:
                 time = math.sqrt((missed + fixed) * (far + fixed)) - fixed
             design = search.scaled(design, max(low, min(time, limit)))
         return best
+
+    def nearly_most_accurate(self, share: float) -> Rated | None:
+        """Return the shortest set with a share of the most levels that there are, by the estimate.
+
+        None: the estimate does not tell; for many frames it errs by as much for both.
+        """
+        is_few = self.counts[0] <= JUDGED_FRAMES or self._most is None
+        if is_few or not self.dithered or self.searches[0].is_list:
+            return None
+        best, search = self._best_estimated(math.inf)
+        least = share * best.levels
+        time = max(self.least_time(self.counts[0]), self._estimated_time(least))
+        found, search = min(
+            ((search.reduced(best, least), search), self._best_estimated(time)),
+            key=lambda pair: pair[0].time if pair[0].levels >= least else math.inf,
+        )
+        found = search.reduced(found, least)
+        return Rated(search.shots(found), found.levels, found.time)
 
     def shortened(self, best: Rated, levels: float) -> Rated:
         """Return a set with its times reduced in proportion, as far as it keeps `levels`."""

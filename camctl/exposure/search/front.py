@@ -27,6 +27,7 @@ from camctl.exposure.accuracy import (
     most_accurate,
     sets_within,
 )
+from camctl.exposure.accurate.judge import JUDGED_FRAMES
 from camctl.exposure.accurate.sets import AccurateSets
 from camctl.exposure.cache import kept
 from camctl.exposure.exposure_choices import (
@@ -43,7 +44,7 @@ from camctl.model.effective import EffectiveCamera
 from camctl.model.noise import FrameNoise
 from camctl.model.response.desired import DesiredResponse
 
-VERSION = 12
+VERSION = 13
 """Part of the key of a kept point; it changes where the search finds other settings."""
 
 POINTS = 12
@@ -203,9 +204,10 @@ class Front:
 
         def find() -> tuple[FrontPoint, ...]:
             found = most_accurate(
-                accurate_sets(without_costs(self._problem, self.controls), self._counts)
+                accurate_sets(without_costs(self._problem, self.controls), self._counts),
+                judged=False,  # but with the camera's steps, where it is of many frames
             )
-            return (self._point(found),)
+            return (self._point(found, judges_many=True),)
 
         return self._kept("most accurate", find)[0]
 
@@ -270,6 +272,27 @@ class Front:
             repr,
         )
 
+    @property
+    def is_smooth(self) -> bool:
+        """Whether noise dithers the quantiser: levels change smoothly with the exposures."""
+        return bool(self._sets.dithered)
+
+    def levels_like(
+        self, levels: float, settings: Sequence[ExposureSetting], exposures: Sequence[float]
+    ) -> float:
+        """Return about the levels of settings, which have `levels`, if they had other exposures.
+
+        They change as the estimate does.
+
+        Args:
+            levels: of the settings as they are
+            settings: by ascending exposure
+            exposures: others, near theirs, in their order
+        """
+        shots = self._shots(settings)
+        others = tuple(s._replace(exposure=e) for s, e in zip(shots, exposures, strict=True))
+        return levels * self._sets.judge.estimated(others) / self._sets.judge.estimated(shots)
+
     def _file(self, question: str) -> str:
         parts = repr((VERSION, *self._identity, question)).encode()
         return f"front-{hashlib.sha256(parts).hexdigest()[:24]}"
@@ -306,7 +329,7 @@ class Front:
         allowed_s = budget_s
         for _ in range(ATTEMPTS):
             try:
-                point = self._point(self._most_within(allowed_s))
+                point = self._point(self._most_within(allowed_s), judges_many=True)
             except UsageError:
                 if allowed_s == budget_s:
                     raise
@@ -345,10 +368,12 @@ class Front:
                 self.controls.time_s.minimum, setting.time_s * (1 - SAME_TIME), 1
             )
             shorter.append(setting if is_base or not below else replace(setting, time_s=below[0]))
-        levels, judge = point.levels, self._sets.judge
-        levels *= judge.estimated(self._shots(shorter)) / judge.estimated(
-            self._shots(point.settings)
-        )
+        judge, shots = self._sets.judge, self._shots(shorter)
+        if len(shots) > JUDGED_FRAMES:
+            levels = judge(shots).levels
+        else:
+            levels = point.levels * judge.estimated(shots)
+            levels /= judge.estimated(self._shots(point.settings))
         time_s = self.time_of(shorter)
         return replace(point, settings=tuple(shorter), time_s=time_s, levels=levels)
 
@@ -411,11 +436,13 @@ class Front:
         found = self._kept(f"estimate {budget_s!r} {is_free}", find, least=0)
         return found[0].levels if found else None
 
-    def _point(self, rated: Rated, *, is_exact: bool = False) -> FrontPoint:
+    def _point(
+        self, rated: Rated, *, is_exact: bool = False, judges_many: bool = False
+    ) -> FrontPoint:
         """Return the point of a set, with its times rounded to the camera's steps.
 
         The steps change the levels as they change the estimate; with `is_exact` the levels are
-        predicted exactly.
+        predicted exactly, and with `judges_many` those of many frames, which nothing rates again.
         """
         controls, settings = self.controls, []
         for shot in rated.shots:
@@ -431,6 +458,8 @@ class Front:
         levels = rated.levels
         if is_exact:
             levels = self.levels_of(settings)
+        elif judges_many and len(settings) > JUDGED_FRAMES:
+            levels = self._sets.judge(self._shots(settings)).levels
         elif changed > SAME_LEVELS:
             sets, shots = self._sets, self._shots(settings)
             levels *= sets.judge.estimated(shots) / sets.judge.estimated(rated.shots)
