@@ -100,18 +100,20 @@ class EffectiveCamera:
     Attributes:
         response: the response of the real camera
         exposures: relative exposures, in any order; the smallest need not be 1
-        levels: (n*M,) float64 ascending, all levels with multiplicity
     """
 
     response: CameraResponse
     exposures: tuple[float, ...]
-    levels: FloatArray
 
     @classmethod
     def of(cls, response: CameraResponse, exposures: Sequence[float]) -> EffectiveCamera:
         """Return the effective camera of these exposures; raises what `check_exposures` raises."""
-        values = check_exposures(exposures)
-        return cls(response, values, union_of_levels(response.levels, values))
+        return cls(response, check_exposures(exposures))
+
+    @cached_property
+    def levels(self) -> FloatArray:
+        """All levels with multiplicity, (n*M,) float64 ascending."""
+        return union_of_levels(self.response.levels, self.exposures)
 
     @cached_property
     def distinct(self) -> FloatArray:
@@ -121,7 +123,7 @@ class EffectiveCamera:
     @property
     def levels_total(self) -> int:
         """N = n*M, the largest sum."""
-        return int(self.levels.size)
+        return len(self.exposures) * self.response.M
 
     @property
     def levels_distinct(self) -> int:
