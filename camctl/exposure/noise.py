@@ -130,7 +130,7 @@ def predicted_mse(
     Raises:
         UsageError: there is not one noise for each exposure, or one is out of range
     """
-    check_noise(noise, len(camera.exposures))
+    check_noise(noise, len(camera.exposures), math.inf)  # fewer levels have less of it
     camera, frames = coarser(camera, noise)
     return posterior_of(camera, desired, frames).mse
 
@@ -142,7 +142,7 @@ def noisy_effective_levels(
 
     Without noise it is `effective_levels`.  Arguments and errors as in `predicted_mse`.
     """
-    check_noise(noise, len(camera.exposures))
+    check_noise(noise, len(camera.exposures), math.inf)
     if all(replace(frame, black=0) == _NOISELESS for frame in noise):
         return effective_levels(camera, desired)
     return float((12 * predicted_mse(camera, desired, noise)) ** -0.5)

@@ -64,14 +64,17 @@ def normal_cdf(x: FloatArray) -> FloatArray:
     return np.asarray(place)
 
 
-def check_noise(noise: Sequence[FrameNoise], n: int) -> None:
-    """Raise `UsageError` unless there is a valid noise for each of `n` exposures."""
+def check_noise(noise: Sequence[FrameNoise], n: int, most_levels: float = MAX_READ_NOISE) -> None:
+    """Raise `UsageError` unless there is a valid noise for each of `n` exposures.
+
+    `most_levels` is the largest read noise: more than the limit where levels will become fewer.
+    """
     if len(noise) != n:
         raise UsageError(
             f"invalid noise of {len(noise)} frames for {n} exposures: expected one for each"
         )
     for frame in noise:
-        if not 0 <= frame.read_noise_levels <= MAX_READ_NOISE:
+        if not 0 <= frame.read_noise_levels <= most_levels:
             raise UsageError(
                 f"invalid read noise of {frame.read_noise_levels:g} levels: expected 0 to "
                 f"{MAX_READ_NOISE:g}"

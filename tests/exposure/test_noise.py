@@ -122,6 +122,15 @@ def test_invalid_noise_is_refused(noise: float, electrons: float, message: str) 
         noisy_effective_levels(camera, LOG, [FrameNoise(electrons, noise)] * 2)
 
 
+def test_noise_of_many_levels_is_that_of_fewer_levels() -> None:
+    """Long exposures of the dark have it, at a high gain; 12 bits are rated by 10."""
+    noise, fine = FrameNoise(0.5, 100.0), EffectiveCamera.of(linear_response(12), (1, 30.0))
+    coarse = EffectiveCamera.of(linear_response(10), (1, 30.0))
+    found = noisy_effective_levels(fine, LOG, [noise] * 2)
+    expected = noisy_effective_levels(coarse, LOG, [FrameNoise(2.0, 25.0)] * 2)
+    assert found == pytest.approx(expected, rel=1e-3)
+
+
 def test_each_exposure_needs_its_noise() -> None:
     camera = EffectiveCamera.of(EIGHT_BIT, (1, 2))
     with pytest.raises(UsageError, match="noise of 1 frames for 2 exposures"):
