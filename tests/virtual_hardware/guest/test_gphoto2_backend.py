@@ -20,12 +20,27 @@ def shoot(camera: Camera) -> list[Frame]:
     return list(camera.shoot([rig.setting(camera, time_s) for time_s in rig.EXPOSURES_S]))
 
 
-class Gphoto2Conformance(DeviceConformance):
+def by_libgphoto2(device: rig.Device) -> Camera:
+    """Return the opened camera of a device."""
+    port = gphoto2_client.usb_port(rig.usb_device(device))
+    with guest.clock_in_step():  # it reads a hundred libraries while the camera waits
+        return open_camera(f"gphoto2:{port}", device.options)
+
+
+def check_equal(frames: list[Frame], by_ptp: list[Frame]) -> None:
+    for frame, other in zip(frames, by_ptp, strict=True):
+        assert frame.applied == other.applied
+        assert (frame.black, frame.white) == (other.black, other.white)
+        assert np.array_equal(frame.pixels, other.pixels)
+
+
+class TestStandard(DeviceConformance):
     """The suite, and the same frames as by `ptp`, with a few openings: each takes seconds.
 
     test_same_picture.py compares the frames of `ptp` with the simulated camera's.
     """
 
+    device = rig.RAW
     run_length = range_length = 5
     _by_ptp: ClassVar[list[Frame]]
 
@@ -36,45 +51,10 @@ class Gphoto2Conformance(DeviceConformance):
             cls._by_ptp = shoot(camera)
 
     def open_device(self) -> Camera:
-        port = gphoto2_client.usb_port(rig.usb_device(self.device))
-        with guest.clock_in_step():  # it reads a hundred libraries while the camera waits
-            return open_camera(f"gphoto2:{port}", self.device.options)
+        return by_libgphoto2(self.device)
 
     def test_frames_are_those_of_ptp_bit_for_bit(self, camera: Camera) -> None:
-        for by_libgphoto2, by_ptp in zip(shoot(camera), self._by_ptp, strict=True):
-            assert by_libgphoto2.applied == by_ptp.applied
-            assert (by_libgphoto2.black, by_libgphoto2.white) == (by_ptp.black, by_ptp.white)
-            assert np.array_equal(by_libgphoto2.pixels, by_ptp.pixels)
-
-
-class TestStandard(Gphoto2Conformance):
-    device = rig.RAW
-
-
-@pytest.mark.usefixtures("makes")
-class MakeConformance(Gphoto2Conformance):
-    """A camera with the operations of a make: what depends on them.
-
-    The samples do not: they are those of `ptp` bit for bit, which tests/drivers/ptp proves of these
-    makes, and `TestStandard` runs the whole suite through libgphoto2 and the kernel.
-    """
-
-
-_SHOWN_BY_EQUAL_SAMPLES = (
-    "test_neighbouring_times_differ_in_light",
-    "test_long_exposures_last_as_long_as_they_state",
-    "test_frames_show_the_same_picture",
-    "test_the_response_holds_near_black_and_near_white",
-    "test_nothing_is_added_to_the_light",
-    "test_white_is_exact_at_every_gain",
-    "test_every_bit_of_the_samples_is_used",
-    "test_gains_do_not_change_the_shading",
-    "test_pixels_are_not_overwritten",
-    "test_closed_camera_raises_a_camera_error",
-)
-for _name in _SHOWN_BY_EQUAL_SAMPLES:
-    assert hasattr(Gphoto2Conformance, _name)
-    setattr(MakeConformance, _name, None)
+        check_equal(shoot(camera), self._by_ptp)
 
 
 @pytest.fixture(scope="module")
@@ -84,13 +64,11 @@ def makes(running_hub: rig.RecordingHub) -> Iterator[None]:
     guest.wait_for("end of the makes", lambda: not any(map(rig.is_connected, rig.MAKES)))
 
 
-class TestNikon(MakeConformance):
-    device = rig.NIKON
-
-
-class TestCanon(MakeConformance):
-    device = rig.CANON
-
-
-class TestSony(MakeConformance):
-    device = rig.SONY
+@pytest.mark.usefixtures("makes")
+@pytest.mark.parametrize("device", rig.MAKES, ids=lambda device: device.name)
+def test_frames_of_a_make_are_those_of_ptp_bit_for_bit(device: rig.Device) -> None:
+    """tests/drivers/gphoto2 runs the suite on the makes, with the same library over TCP."""
+    with rig.open_device(device) as camera:
+        by_ptp = shoot(camera)
+    with by_libgphoto2(device) as camera:
+        check_equal(shoot(camera), by_ptp)
