@@ -37,7 +37,7 @@ def main() -> int:
     spawner()  # in this folder, and before any thread runs
     webcam = replace(rig.CURVED, model={**rig.CURVED.model, "size": size})
     with rig.running_hub([webcam]):
-        picture = calibrate_and_shoot(webcam, _run)
+        picture = calibrate_and_shoot(webcam, _run, "all")
     print(
         f"{size}: largest error of the response {picture.error:.4f} of full scale in "
         f"{picture.columns} columns, allowed {LIMIT:g}; {picture.effective_levels:.1f} effective "

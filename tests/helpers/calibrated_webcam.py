@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import guest_processes as guest
 import numpy as np
@@ -27,31 +25,29 @@ class LinearPicture:
     """A picture in linear brightness by a webcam that states nothing of its response.
 
     Attributes:
-        steps: those of `camctl calibrate all`, by name
         columns: number of columns of the ramp that are compared
         error: largest difference of a column's mean from the promised brightness, full scale = 1
         effective_levels: of the capture, as its report says
     """
 
-    steps: dict[str, Any]
     columns: int
     error: float
     effective_levels: float
 
 
 def calibrate_and_shoot(
-    device: rig.Device, camctl: Callable[..., guest.CommandResult]
+    device: rig.Device, camctl: Callable[..., guest.CommandResult], calibration: str
 ) -> LinearPicture:
     """Calibrate `rig.CURVED`, or one like it, shoot three exposures, and compare with the ramp.
 
     Args:
         device: the webcam, before the ramp
         camctl: runs a command line
+        calibration: what `camctl calibrate` measures before: all, or response
     """
     arguments = rig.camera_arguments(device)
-    done = camctl("calibrate", "all", *arguments, "--json")
+    done = camctl("calibrate", calibration, *arguments, "--json")
     assert done.status == 0, done.err
-    steps = {step["name"]: step for step in json.loads(done.out)["steps"]}
     done = camctl("shoot", *arguments, "--response", "linear", "-n", "3", "-o", "linear")
     assert done.status == 0, done.err
     assert "using the profile" in done.err
@@ -65,6 +61,4 @@ def calibrate_and_shoot(
     promised = report.plan.desired.u(np.clip(light, 0, 1)).mean(axis=0)
     inside = light.mean(axis=0) < _COMPARED
     error = np.abs(picture.mean(axis=0) - promised)[inside]
-    return LinearPicture(
-        steps, int(inside.sum()), float(error.max()), report.achieved.effective_levels
-    )
+    return LinearPicture(int(inside.sum()), float(error.max()), report.achieved.effective_levels)

@@ -26,7 +26,7 @@ from camctl.sim.devices.hub import Hub
 from camctl.sim.devices.hub import main as hub_main
 
 DIRECTORY = Path("/run/virtual-devices")
-SIZE, SHAPE = "160x120", (120, 160)
+SIZE, SHAPE = "96x72", (72, 96)  # emulated, each pixel takes ten times as long or more
 
 # All cameras see the same ramp of light and draw the same noise for every frame, so that a frame
 # depends on its exposure alone.
@@ -115,6 +115,7 @@ CURVED = Device(
     "uvc",
     {
         **RAMP,
+        "size": "160x120",  # its ramp is compared column by column
         "sensor": str(DIRECTORY / "curved.json"),
         "repeat_noise": False,
         "formats": ["yuyv"],

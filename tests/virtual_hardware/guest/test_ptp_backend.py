@@ -41,11 +41,9 @@ RunCamctl = Callable[..., guest.CommandResult]
 
 
 class TestTiff(DeviceConformance):
+    """Raw files: test_gphoto2_backend.py has the suite, on frames equal to those of this driver."""
+
     device = rig.STILL
-
-
-class TestDng(DeviceConformance):
-    device = rig.RAW
 
 
 @pytest.mark.parametrize(
