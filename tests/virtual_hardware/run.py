@@ -1,15 +1,14 @@
-"""Test all backends against the kernel's own drivers, in virtual machines.
+"""Test all backends against the kernel's own drivers, in a virtual machine.
 
     .venv/bin/python tests/virtual_hardware/run.py [-k EXPRESSION] [--backend NAME] [--bench]
     .venv/bin/python tests/virtual_hardware/run.py --guest display|panels [--keep FOLDER]
 
-Two guests run side by side, each with its part of the tests.  A line for each test shows the
-elapsed time, the guest, the outcome and how long the test took by the guest's own clock.  The last
-line is "virtual hardware: N passed, M failed, S s".  With --guest display the
-menu runs on the display of one guest, with --guest panels the panels for boards are shown there;
-neither is part of a run without it.  Where no guest can
-run it is "virtual hardware
-skipped: REASON; what to install", with status 0, or with 77 after --must-run.
+All tests run in one guest: a guest computes for most of a minute before its first test, importing
+what the tests need.  A line for each test shows the elapsed time, the outcome and how long the test
+took by the guest's own clock.  The last line is "virtual hardware: N passed, M failed, S s".  With
+--guest display the menu runs on the display of a guest, with --guest panels the panels for boards
+are shown there; neither is part of a run without it.  Where no guest can run it is "virtual
+hardware skipped: REASON; what to install", with status 0, or with 77 after --must-run.
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import display
@@ -38,9 +36,6 @@ PACKAGES = ("camctl", "drivers", "menu", "sim")
 HELPERS = REPOSITORY / "tests" / "helpers"
 BENCH = REPOSITORY / "tests" / "bench"
 BENCHES = ("bench_discovery.py", "bench_v4l2.py", "bench_v4l2_cpu.py", "bench_ptp.py")
-# Two guests, and the files in guest/ that the first one runs: so both take about as long.
-GUESTS = ("first", "second")
-FIRST_FILES = ("test_gphoto2_client.py", "test_same_picture.py", "test_v4l2_backend.py")
 DISPLAYS = {"display": "display_in_guest.py", "panels": "panels_in_guest.py"}
 BACKENDS = ("v4l2", "ptp", "coolpix", "gphoto2")
 # Limits that only catch what hangs: of a guest in the host's time, of a test in the guest's.
@@ -91,13 +86,10 @@ def main() -> int:
         return guest.run(arguments.command or _benches(), lambda text: print(text, flush=True))
     if arguments.guest:
         return _display(Guest(arguments.guest, kernel, arguments.limit, began), arguments.keep)
-    guests = [Guest(name, kernel, arguments.limit, began) for name in GUESTS]
-    with ThreadPoolExecutor(len(guests)) as pool:
-        list(pool.map(lambda guest: guest.test(_tests(arguments, guest.name)), guests))
-    counts = Counter[str]()
-    for guest in guests:
-        counts.update(guest.counts)
-    failed = max(counts["failed"], sum(guest.is_broken for guest in guests))
+    guest = Guest("tests", kernel, arguments.limit, began)
+    guest.test(_tests(arguments))
+    counts = guest.counts
+    failed = max(counts["failed"], int(guest.is_broken))
     if not counts["collected"]:
         failed = 1
         print("no test was selected")
@@ -110,7 +102,7 @@ class Guest:
     """One virtual machine, and what it has printed.
 
     Args:
-        name: printed before each of its lines
+        name: part of the names of its folders
         kernel: see `machine.prepare`
         limit_s: the guest is ended after so many seconds
         began: when the whole run began, by `time.monotonic`
@@ -190,9 +182,7 @@ class Guest:
 
     def _say(self, text: str) -> None:
         elapsed_s = time.monotonic() - self._began
-        # In one piece: the other guest prints, too.
-        sys.stdout.write(f"{elapsed_s:5.0f} s  {self.name:8}{text}\n")
-        sys.stdout.flush()
+        print(f"{elapsed_s:5.0f} s  {text}", flush=True)
 
 
 def _display(guest: Guest, keep: Path | None) -> int:
@@ -252,15 +242,10 @@ def _benches() -> list[str]:
     return ["sh", "-c", f"status=0; {each}; exit $status"]
 
 
-def _tests(arguments: argparse.Namespace, guest: str) -> list[str]:
-    """Return the command that runs one guest's tests."""
+def _tests(arguments: argparse.Namespace) -> list[str]:
+    """Return the command that runs the tests."""
     selected = " and ".join(f"({each})" for each in (arguments.backend, arguments.k) if each)
-    files = [
-        str(path)
-        for path in sorted((HERE / "guest").glob("test_*.py"))
-        if (path.name in FIRST_FILES) == (guest == "first")
-    ]
-    return [*PYTEST, *(("-k", selected) if selected else ()), *files]
+    return [*PYTEST, *(("-k", selected) if selected else ()), str(HERE / "guest")]
 
 
 if __name__ == "__main__":
