@@ -22,6 +22,7 @@ from camctl.captures.true_exposures import relative
 from camctl.evidence.movement import Movement, find_movement
 from camctl.evidence.noise import measure_noise
 from camctl.exposure.evaluation import evaluate
+from camctl.exposure.light import DARK_SHARE
 from camctl.exposure.objective import Objective
 from camctl.findings import Finding
 from camctl.interface.controls import ExposureControls
@@ -40,9 +41,6 @@ from camctl.records.frame_store import CaptureStore
 from camctl.records.report import Achieved, CaptureReport, Irradiance, UnfinishedCapture
 from camctl.records.simulation_summary import simulation_summary, without_plan
 from camctl.system.memory import return_free_memory
-
-#: A picture with more than this share of its samples saturated gets a finding.
-_MOST_SATURATED = 0.99
 
 
 @dataclass(frozen=True, eq=False)
@@ -348,7 +346,7 @@ def _light_findings(
     least = int(unfinished.black_total + BLACK_SHARE * controls.levels.M)
     if np.count_nonzero(total > least) / total.size <= OUTLIER_SHARE:
         return [Finding(code="picture_black", remedies={"base_s": None})]
-    if saturated > _MOST_SATURATED:
+    if saturated > 1 - DARK_SHARE:  # no more shows light than may be below the range
         return [Finding(code="picture_white", value=saturated, remedies={"base_s": None})]
     return range_findings(
         unfinished.request,

@@ -36,9 +36,6 @@ from camctl.pictures.preview_light import ALL, Light, LightReducer
 from camctl.pictures.render import DARK, GOOD, SATURATED, Rendering, Tables
 from camctl.records.capture_plan import CapturePlan
 
-#: The preview frames are evaluated down to the light of this share of their first level.
-_LEAST_LEVEL = 0.5
-
 
 @dataclass(frozen=True, eq=False)
 class ShownResponse:
@@ -101,7 +98,8 @@ class PreviewedLight:
             total.accumulate(each)
         noise, exposures = controls.frame_noise(settings), relative_exposures(settings)
         responses = controls.responses or (controls.levels,)
-        least = _LEAST_LEVEL * float(controls.levels.levels[0]) / max(exposures)
+        # Down to the light from which on a sample is rounded to its first level.
+        least = float(controls.levels.levels[0]) / 2 / max(exposures)
         desired = desired_response("log", 1 / least)
         posteriors = [
             posterior_of(EffectiveCamera.of(each, exposures), desired, noise) for each in responses

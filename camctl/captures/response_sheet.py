@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.exposure.light import DARK_SHARE
 from camctl.interface.controls import ExposureSetting
 from camctl.pictures.drawing import (
     LINE_HEIGHT,
@@ -22,9 +23,6 @@ from camctl.system.number_text import percent_text, range_text, time_text
 
 PANEL_WIDTH = 520
 """Width of the picture of one response, pixels."""
-
-NOTABLY_UNSEEN = 0.01
-"""Share of the samples without light in the metering frames from which the sheet says so."""
 
 #: Width and largest height of what image.tiff holds.
 _STORED = 200, 150
@@ -108,7 +106,7 @@ def response_sheet(
         )
     lights = [panel.plan.light for panel in panels if panel.plan is not None]
     unseen = max((light.unseen for light in lights if light is not None), default=0.0)
-    if unseen >= NOTABLY_UNSEEN:
+    if unseen > DARK_SHARE:
         notes.append(
             f"metering shows no light in {percent_text(unseen)}, all of which may be too dark"
         )

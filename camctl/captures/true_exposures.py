@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from camctl.captures.setting_findings import NOTABLE_DIFFERENCE
 from camctl.errors import DataError
 from camctl.evidence.patches import Patches
 from camctl.evidence.ratios import comparable_frames, estimate_ratios
@@ -12,9 +13,6 @@ from camctl.findings import Finding
 from camctl.interface.controls import ExposureControls
 from camctl.model.sensor import SensorModel
 from camctl.records.frame import ExposureRatio, StoredFrame
-
-#: An estimate with a wider 95 % interval, relative, is used only where the label lies outside it.
-WIDEST_INTERVAL = 0.01
 
 
 @dataclass(frozen=True)
@@ -103,7 +101,8 @@ def choose_exposures(
             unit = controls.exposure(reference) / reference.exposure
             value, low, high = (unit * each for each in estimates.exposures[k])
             ratio = ratio.model_copy(update={"estimate": value, "low": low, "high": high})
-            if high - low <= WIDEST_INTERVAL * value or not low <= ratio.exposure <= high:
+            # A wide interval that holds the label says nothing against it.
+            if high - low <= NOTABLE_DIFFERENCE * value or not low <= ratio.exposure <= high:
                 ratio = ratio.model_copy(update={"used": "estimate", "exposure": value})
         chosen.append(ratio)
     return chosen

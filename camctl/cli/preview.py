@@ -105,7 +105,7 @@ def _json(shown: ResponsePreview) -> dict[str, Any]:
 
 
 def _text(shown: ResponsePreview, path: Path) -> str:
-    from camctl.captures.response_sheet import NOTABLY_UNSEEN
+    from camctl.exposure.light import DARK_SHARE
 
     rows = [
         (
@@ -124,7 +124,7 @@ def _text(shown: ResponsePreview, path: Path) -> str:
     if shown.left_out_s:
         left_out = ", ".join(map(format_duration, shown.left_out_s))
         fields.append(("left out", f"{left_out}: too long for a preview"))
-    if (unseen := _unseen(shown)) >= NOTABLY_UNSEEN:
+    if (unseen := _unseen(shown)) > DARK_SHARE:
         share = format_percent(unseen)
         fields.append(
             ("not seen", f"metering shows no light in {share}, all of which may be too dark")

@@ -19,6 +19,7 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.evidence.patch_errors import MOST_BINS
 from camctl.evidence.quantiles import NORMAL_MAD, student
 from camctl.evidence.ratio_check import significant_sigmas
 from camctl.model.sensor import JPEG_ERROR
@@ -32,8 +33,6 @@ _COARSE_SIDE, _LARGEST = 192, 0.25
 _BLUR = 1.0
 #: The blur makes neighbours alike: so many pixels have one error.
 _ALIKE = 4 * math.pi * _BLUR**2
-#: Bins of brightness, in each of which the line of the residuals over it is left out.
-_BINS = 48
 #: Brightness values that are distinguished where two histograms are compared.
 _RANKS = 1024
 #: Steps of a fit at each size, at most.
@@ -41,8 +40,6 @@ _STEPS = 8
 #: Standard deviations at which a residual counts half: Cauchy's weights are then as exact as least
 #: squares of 95 % of the samples (Holland and Welsch, 1977).
 _CAUCHY = 2.385
-#: Least noise, as a share of full scale: the rounding to 8 bits.
-_LEAST_NOISE = 12**-0.5 / 255
 
 _Floats = NDArray[np.float32]
 _Vector = NDArray[np.float64]
@@ -200,7 +197,9 @@ class _Level:
         across, down, values = (each.take(points) for each in (across, down, template))
         half = max(template.shape) / 2
         turn, growth = (down * x - across * y) / half, (across * x + down * y) / half
-        edges = values[points.size * np.arange(1, _BINS) // _BINS] if points.size else values
+        edges = (
+            values[points.size * np.arange(1, MOST_BINS) // MOST_BINS] if points.size else values
+        )
         starts = np.unique(np.append(0, np.searchsorted(values, edges, "right")))
         starts = starts[starts < points.size]
         of_blocks = (rows // height * _BLOCKS + columns // width).astype(np.uint8)
@@ -280,7 +279,7 @@ def _noise(residuals: _Floats, valid: _Mask) -> float:
     values = np.abs(residuals[valid])
     middle = values.size // 2
     median = float(np.partition(values, middle)[middle]) if values.size else 0.0
-    return max(median / NORMAL_MAD, _LEAST_NOISE)
+    return max(median / NORMAL_MAD, 12**-0.5 / 255)  # at least the rounding to 8 bits
 
 
 def _costs(compared: Sequence[_Residuals]) -> tuple[list[_Floats], _Mask]:

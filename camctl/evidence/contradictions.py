@@ -21,8 +21,8 @@ from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import JPEG_BLOCK_ERROR, RESPONSE_ERROR, SensorModel
 from camctl.system.picture_operations import AREA, HEIGHT, LEFT, TOP, WIDTH, connected_parts
 
-#: Other photographs that must be contradicted, and connected patches that make a place.
-_LEAST_OTHERS, _LEAST_PATCHES = 2, 4
+#: Connected patches that make a place.
+_LEAST_PATCHES = 4
 
 _Mask = NDArray[np.bool_]
 
@@ -92,7 +92,7 @@ def _odd_ones(
     against = counts[0] + counts[1]
     of_others = against.sum(axis=0) / 2 - against
     return np.asarray(
-        (against >= _LEAST_OTHERS)
+        (against > 1)  # one other does not show which of the two is wrong
         & (np.minimum(counts[0], counts[1]) == 0)
         & (against > MOST * counts.sum(axis=0))
         & (of_others < MOST * against)

@@ -1,7 +1,8 @@
 """Errors of photographs at edges, which are neither noise of the sensor nor movement.
 
 JPEG files are rounded in blocks, and programs mix the colours of neighbouring pixels.  Both grow
-with the range of brightness around a sample.
+with the range of brightness around a sample.  Ranges are those of a block and of the blocks beside
+it: together they hold the 16 x 16 pixels in which JPEG files round colours (ITU-T T.81).
 """
 
 from __future__ import annotations
@@ -9,13 +10,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.evidence.patches import SIDE
 from camctl.interface.camera import Pixels
 from camctl.model.sensor import JPEG_ERROR
 from camctl.system.picture_operations import dilated
 
-#: Side of the blocks of which ranges are taken, pixels, those beside included: together they hold
-#: the 16 x 16 pixels in which JPEG files round colours (ITU-T T.81).
-_BLOCK = 8
 #: By how much less the range counts that the blocks beside have: only colours are mixed across
 #: them, which are a third of the brightness of a pixel.
 _BESIDE = 3
@@ -37,7 +36,7 @@ def ranges_at(
 ) -> Ranges:
     """Return the ranges at rows and columns of a part of the frame, see `Limits.outside`."""
     row, column = (
-        (start + step * place) // _BLOCK
+        (start + step * place) // SIDE
         for start, step, place in zip(first, every, places, strict=False)
     )
     return ranges[row, column]
@@ -66,10 +65,10 @@ def local_ranges(frame: Pixels, white: int) -> Ranges:
 def _blocks(frame: Pixels, reduce: np.ufunc) -> Pixels:
     """Return the largest or the least sample of each block, the colours of one side by side."""
     rows, columns = frame.shape[:2]
-    whole = rows // _BLOCK * _BLOCK
+    whole = rows // SIDE * SIDE
     # Many times as fast as `reduceat` along rows.
-    parts = [reduce.reduce(frame[:whole].reshape(-1, _BLOCK, *frame.shape[1:]), axis=1)]
+    parts = [reduce.reduce(frame[:whole].reshape(-1, SIDE, *frame.shape[1:]), axis=1)]
     if whole < rows:
         parts.append(reduce.reduce(frame[whole:], axis=0, keepdims=True))
-    found = reduce.reduceat(np.concatenate(parts), np.arange(0, columns, _BLOCK), axis=1)
+    found = reduce.reduceat(np.concatenate(parts), np.arange(0, columns, SIDE), axis=1)
     return np.asarray(found.reshape(len(found), -1))

@@ -22,12 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.chroma import NOISE_OF_Y, patch_brightness
-from camctl.evidence.patches import Patches
+from camctl.evidence.patches import SIDE, Patches
 
 Floats = NDArray[np.float64]
-
-SIDE = 8
-"""Pixels on each side of a block."""
 
 LEVELS = 256
 """Levels of brightness."""
@@ -54,7 +51,6 @@ _BLOCKS, _LARGEST_SIZE = 1 << 14, 512
 _OTHERS = 1e-3
 #: Frequencies that must show their step for the others to be known from them.
 _LEAST_KNOWN = 3
-_LARGEST_STEP = 255
 #: Rounds of the fit of scales, and bisections of each, from 1/20,000 to 20,000 levels.
 _ROUNDS, _HALVINGS, _REACH = 12, 24, 10.0
 #: Levels of brightness with one noise.
@@ -218,7 +214,7 @@ def _steps(frames: Sequence[NDArray[np.float32]]) -> Floats:
     number = np.maximum(shown.sum(axis=1), 1)
     size = np.arange(first, counts.shape[1] - 1) / _OF_LEVEL
     rate = 1 / np.maximum(shown @ size / number - _NEAR_ZERO, 1 / _OF_LEVEL)[:, np.newaxis]
-    step = np.arange(1, _LARGEST_STEP + 1)
+    step = np.arange(1, LEVELS)
     # Where sizes decrease exponentially within a step, its first multiple has more than a share.
     exponent = rate * (_NEAR_ZERO - step) + np.square(rate * _ROUNDED) / 2
     first_share = step * rate * np.exp(exponent) / -np.expm1(-rate * step)
@@ -237,7 +233,7 @@ def _likelihoods() -> Floats:
     It is that over the one of a frequency that may be any number, (bins, steps).
     """
     size = np.arange(_LARGEST_SIZE * _OF_LEVEL)[:, np.newaxis] / _OF_LEVEL
-    step = np.arange(1, _LARGEST_STEP + 1)
+    step = np.arange(1, LEVELS)
     multiple = np.maximum(np.rint(size / step), 1)
     variance = _ROUNDED**2 + 1 / (12 * _OF_LEVEL**2)
     square = np.square(size - multiple * step) / variance

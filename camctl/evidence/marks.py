@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from camctl.evidence.edges import Ranges, edge_levels, local_ranges, ranges_at
 from camctl.evidence.patch_errors import MEAN_RADIUS
+from camctl.evidence.patches import SIDE
 from camctl.evidence.ratio_check import SIGNIFICANCE
 from camctl.evidence.residual import FrameRows, Limits, Pair
 from camctl.evidence.spill import LightSpread, Lines
@@ -34,9 +35,9 @@ _MOST_SIGMAS = 4.0
 #: Steps in which residuals are counted, of a standard deviation: the rounding of two tables adds at
 #: most 5 / 32 of one to a mean.
 _STEPS = 32
-#: Cells of the map of movement along the longer side of a picture, at most, and the least side of
-#: one, pixels.
-_MAP_SIDE, _LEAST_CELL = 160, 8
+#: Cells of the map of movement along the longer side of a picture, at most; none is smaller than a
+#: patch.
+_MAP_SIDE = 160
 #: Samples of a frame that are read at a time.  With half of them, a tenth of the rows would be read
 #: twice, as those around others.
 STRIP_SAMPLES = 1 << 20
@@ -75,7 +76,7 @@ class Marks:
         normal = NormalDist()
         self.sigmas = -normal.inv_cdf(FALSE_ALARMS / 4 / len(pairs))
         self.significant = -normal.inv_cdf(SIGNIFICANCE / 2 / len(pairs) / math.prod(shape))
-        self.cell = max(_LEAST_CELL, -(-max(rows, columns) // _MAP_SIDE))
+        self.cell = max(SIDE, -(-max(rows, columns) // _MAP_SIDE))
         self.cells: Mask = np.zeros((-(-rows // self.cell), -(-columns // self.cell)), np.bool_)
         self.marks: Packed = np.zeros((rows, -(-columns * channels // 8)), np.uint8)
         self.spilled = np.zeros_like(self.marks)

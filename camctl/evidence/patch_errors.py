@@ -40,9 +40,9 @@ MOST_BIAS = 0.25
 """Error of a response that mean errors of photographs may show, as a share of the light: beyond it
 all samples of a brightness have moved."""
 
-#: Bins of brightness in which unknown noise is measured, at most: as many values as a fit of photon
-#: noise, read noise and the processing of photographs has bends.
-_MOST_BINS = 24
+MOST_BINS = 24
+"""Bins of brightness in which unknown noise is measured, at most: as many values as a fit of photon
+noise, read noise and the processing of photographs has bends."""
 
 _Floats = NDArray[np.float64]
 
@@ -192,7 +192,7 @@ def fitted_tables(part: PatchErrors, prediction: Prediction) -> Prediction:
     if part.size < LEAST_PATCHES:
         return prediction
     order = np.argsort(part.brightness, kind="stable")
-    count = min(_MOST_BINS, part.size // LEAST_PATCHES)
+    count = min(MOST_BINS, part.size // LEAST_PATCHES)
     bins = np.array_split(part.brightness[order], count)
     ends = np.cumsum([0, *map(len, bins)]).tolist()
     least = (part.own + part.shared)[order]

@@ -15,8 +15,11 @@ from numpy.typing import NDArray
 
 from camctl.model.response.camera import FloatArray
 
-#: Side of a patch in samples of one colour, and the number of patches of a frame, about.
-_SIDE, _PATCHES = 8, 4800
+SIDE = 8
+"""Side of a patch in samples of one colour, as of the blocks of JPEG files (ITU-T T.81)."""
+
+#: Patches of a frame, about.
+_PATCHES = 4800
 #: Distances at which the samples of a patch are compared to see whether they are equal.
 _STEPS_APART = (1, 9, 27)
 
@@ -44,7 +47,7 @@ def patch_places(
     shape: Sequence[int], planes: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], int]:
     """Return first rows, first columns and side of the patches of one of so many planes."""
-    side = min(_SIDE, max(1, min(shape) // 4))
+    side = min(SIDE, max(1, min(shape) // 4))
     most = math.isqrt(_PATCHES // planes)
     # Blocks of JPEG files begin at multiples of their side.
     rows, columns = (

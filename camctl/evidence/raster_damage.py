@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from camctl.evidence.light_ratio import FrameSample
 from camctl.evidence.patch_errors import LEAST_PATCHES
-from camctl.evidence.ratio_check import SIGNIFICANCE
+from camctl.evidence.ratio_check import SIGNIFICANCE, SMALL_THING
 from camctl.model.sensor import BLACK_ERROR_LEVELS, RESPONSE_ERROR, SensorModel
 
 #: Parts of the width, in each of which lines that are wrong contradict the other frame.
 _PARTS = 4
 #: Share of the comparable patches of a line that contradict where it is wrong, at least: of shifted
-#: lines those on contours; and where it is right, at most: what noise and spread light leave.
-_WRONG, _RIGHT = 0.2, 0.02
+#: lines those on contours.  Where it is right, noise and spread light leave small things at most.
+_WRONG = 0.2
 
 _Marks = NDArray[np.bool_]
 _Floats = NDArray[np.float64]
@@ -73,8 +73,8 @@ def is_wrong_alone(
     count = np.count_nonzero(wrong)
     return bool(
         count >= LEAST_PATCHES
-        and np.count_nonzero(third[0] & wrong) <= _RIGHT * count
-        and np.count_nonzero(first[0] & second[0] & wrong) > _RIGHT * count
+        and np.count_nonzero(third[0] & wrong) <= SMALL_THING * count
+        and np.count_nonzero(first[0] & second[0] & wrong) > SMALL_THING * count
     )
 
 
@@ -99,7 +99,7 @@ def _are_lines(contradicts: _Marks, compared: _Marks) -> bool:
     share = np.count_nonzero(contradicts, axis=1) / np.maximum(usable, 1)
     seen = usable >= _PARTS
     wrong = seen & (share >= _WRONG)
-    between = seen & (share > _RIGHT) & ~wrong
+    between = seen & (share > SMALL_THING) & ~wrong
     # A line that begins or ends within a patch is between: two for each run of wrong lines.
     runs = np.count_nonzero(np.diff(wrong[seen].astype(np.int8), prepend=0, append=0)) // 2
     if wrong.sum() == seen.sum() or np.count_nonzero(between) > 2 * runs:
@@ -113,7 +113,7 @@ def _is_wide(contradicts: _Marks, compared: _Marks) -> bool:
     row, column = np.nonzero(compared)
     marks = contradicts[row, column][np.argsort(column, kind="stable")]
     parts = np.array_split(marks, _PARTS)
-    is_wide = all(np.count_nonzero(part) > _RIGHT * part.size for part in parts)
+    is_wide = all(np.count_nonzero(part) > SMALL_THING * part.size for part in parts)
     return is_wide and int(np.count_nonzero(marks)) >= LEAST_PATCHES
 
 

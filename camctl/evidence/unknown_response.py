@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.chroma import OF_Y, brightness
+from camctl.evidence.lost_detail import LEVELS
 from camctl.evidence.patch_errors import LEAST_PATCHES
 from camctl.evidence.patches import Patches
 from camctl.evidence.quantiles import student
@@ -29,17 +30,17 @@ from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import ESTIMATED_RESPONSE_ERROR, JPEG_BLOCK_ERROR, JPEG_ERROR
 from camctl.system.picture_operations import dilated, level_counts, looked_up, reduced_by_area
 
-#: Brightness levels that are distinguished; of more bits than eight, equal steps of the square root
-#: of the brightness, as photon noise has them, and of a share of full scale more: as read noise.
-_LEVELS, _READ_NOISE = 256, 0.003
+#: Of more bits than eight, `LEVELS` are equal steps of the square root of the brightness, as photon
+#: noise has them, and of this share of full scale more: as read noise.
+_READ_NOISE = 0.003
 #: Samples on each side of a cell.
 _CELL_SIDE = 4
 #: Levels on each side that count as one in the joint histogram (noise).
 _NEAR = 2
 #: Level from which on a sample may be a saturated one, as JPEG changes it.
-_SATURATED = round((1 - JPEG_ERROR) * (_LEVELS - 1))
+_SATURATED = round((1 - JPEG_ERROR) * (LEVELS - 1))
 #: Level that such a sample has at least without the changes of JPEG.
-_LEAST_SATURATED = round((1 - 2 * JPEG_ERROR) * (_LEVELS - 1))
+_LEAST_SATURATED = round((1 - 2 * JPEG_ERROR) * (LEVELS - 1))
 
 Values: TypeAlias = NDArray[np.float32]
 
@@ -111,10 +112,10 @@ def deviating_patches(
 
 def _as_levels(samples: NDArray[Any], black: int, white: int) -> NDArray[np.uint8]:
     share = np.clip((np.arange(white + 1) - black) / (white - black), 0, 1)
-    if white - black >= _LEVELS:
+    if white - black >= LEVELS:
         share = np.sqrt(share + _READ_NOISE) - math.sqrt(_READ_NOISE)
         share /= share[-1]
-    table = np.rint((_LEVELS - 1) * share).astype(np.uint8)
+    table = np.rint((LEVELS - 1) * share).astype(np.uint8)
     return looked_up(table, np.minimum(samples, white))
 
 
@@ -164,14 +165,14 @@ def _errors(
 
 def _expected(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> Values:
     """Return the level of the shorter frame that most samples of each of the longer one have."""
-    both = after.astype(np.uint16) * np.uint16(_LEVELS) + before
-    counts = level_counts(both, _LEVELS**2).reshape(_LEVELS, _LEVELS)
+    both = after.astype(np.uint16) * np.uint16(LEVELS) + before
+    counts = level_counts(both, LEVELS**2).reshape(LEVELS, LEVELS)
     seen = counts[:_SATURATED, :_SATURATED].astype(np.float64)
     seen[0] = seen[:, 0] = 0  # clipped at black
     curve = _ascending_path(seen)
     # What is saturated is at least as bright as what is not, and of which enough is seen.
     known = np.flatnonzero(seen[: _LEAST_SATURATED + 1].sum(axis=1) >= LEAST_PATCHES)
-    expected = np.full(_LEVELS, curve[known[-1] if known.size else 0], np.float32)
+    expected = np.full(LEVELS, curve[known[-1] if known.size else 0], np.float32)
     expected[:_SATURATED] = curve
     return expected
 

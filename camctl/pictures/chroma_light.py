@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.chroma import brightness, chroma_variance
-from camctl.evidence.lost_detail import SIDE, LostDetail
+from camctl.evidence.lost_detail import LostDetail
+from camctl.evidence.patches import SIDE
 from camctl.model.distribution import normal_cdf
 from camctl.model.light import Floats32, LightTables, truncated
 from camctl.model.sensor import CLIPPING_SIGMAS, FILE_OFFSET

@@ -25,14 +25,13 @@ from camctl.evidence.chroma import (
 )
 from camctl.evidence.lost_detail import (
     LEVELS,
-    SIDE,
     LostDetail,
     file_steps,
     lost_details,
 )
 from camctl.evidence.noise import NoiseFit, fit_noise
 from camctl.evidence.patch_noise import electrons_per_level
-from camctl.evidence.patches import Patches
+from camctl.evidence.patches import SIDE, Patches
 from camctl.interface.controls import Layout
 from camctl.model.block_rounding import BlockRounding
 from camctl.model.distribution import MAX_READ_NOISE

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.chroma import NOISE_OF_Y, brightness, chroma_variance
-from camctl.evidence.lost_detail import LEVELS, SIDE, frequencies, lost_details, quantisation
+from camctl.evidence.lost_detail import LEVELS, frequencies, lost_details, quantisation
+from camctl.evidence.patches import SIDE
 
 Picture = NDArray[np.uint8]
 

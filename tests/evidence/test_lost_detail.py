@@ -11,7 +11,8 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from camctl.evidence.lost_detail import LEVELS, SIDE, frequencies, lost_details, quantisation
+from camctl.evidence.lost_detail import LEVELS, frequencies, lost_details, quantisation
+from camctl.evidence.patches import SIDE
 
 Floats = NDArray[np.float32]
 
