@@ -36,8 +36,8 @@ _LARGEST_BIAS = 5e-4
 _FLOOR = 1e-3
 #: Noise of a camera that does not state it, levels: more than rounding alone.
 _UNKNOWN_NOISE = FrameNoise(math.inf, 1.0)
-#: Scatter of the patches, over their predicted error, from which the scene counts as moving: at rest
-#: it is 1.0 to 1.2, and 22 to 153 where the estimates are wrong by 25 % and more (there, too).
+#: Scatter of the patches, over their predicted error, from which the scene counts as moving: it
+#: is 1.0 to 1.2 at rest, and 22 to 153 where the estimates are wrong by 25 % and more (there, too).
 _MOST_SCATTER = 20.0
 
 

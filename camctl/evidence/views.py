@@ -25,10 +25,8 @@ from camctl.evidence.patches import Patches
 from camctl.evidence.ratio_check import MOST, SIGNIFICANCE
 from camctl.evidence.unknown_response import deviating_patches
 from camctl.findings import Finding
-from camctl.model.sensor import JPEG_ERROR
+from camctl.model.sensor import FILE_OFFSET, JPEG_ERROR
 
-#: Brightness up to which a sample of a photograph may be black, as a share of full scale.
-_BLACK = 0.01
 #: Samples on each side of a square that is averaged, against noise.
 _POOLED = 2
 #: Standard deviation of the brightness within a patch that is structure, share of full scale.
@@ -220,7 +218,7 @@ class _Plane:
         """Return those of patches."""
         return cls(
             patches,
-            patches.min(axis=1) > _BLACK * white,
+            patches.min(axis=1) > FILE_OFFSET / 255 * white,
             patches.max(axis=1) < (1 - JPEG_ERROR) * white,
             _ranks(patches, white),
             _structure(patches),
