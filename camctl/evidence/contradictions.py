@@ -21,8 +21,8 @@ from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import JPEG_BLOCK_ERROR, RESPONSE_ERROR, SensorModel
 from camctl.system.picture_operations import AREA, HEIGHT, LEFT, TOP, WIDTH, connected_parts
 
-#: Connected patches that make a place: single ones, on contours of JPEG files, contradict in 33 of 36
-#: series at rest, places of four in 4.
+#: Connected patches that make a place: single ones contradict in 33 of 36 series of JPEG files at
+#: rest, on contours, and places of four in 4.
 _LEAST_PATCHES = 4
 
 _Mask = NDArray[np.bool_]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from camctl.evidence.quantiles import NORMAL_MAD
 from camctl.interface.camera import Camera, Frame
 from camctl.interface.controls import Control, ExposureControls, ExposureSetting
 from camctl.testing.suite import QUANTISATION, UNUSABLE, CameraSuite
@@ -190,7 +191,7 @@ def _compensated(
 def steps_noise(difference: NDArray[np.float64]) -> float:
     """Return the standard deviation of the noise in a difference, without what varies slowly."""
     steps = np.diff(difference, axis=1)
-    return float(np.median(np.abs(steps)) * 1.4826 / np.sqrt(2))
+    return float(np.median(np.abs(steps)) / NORMAL_MAD / np.sqrt(2))
 
 
 def _blocks(rows: int, columns: int) -> list[tuple[slice, slice]]:

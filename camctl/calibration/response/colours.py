@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from camctl.calibration.response.series import Neighbours, Series
 from camctl.evidence.patch_errors import median
+from camctl.evidence.quantiles import NORMAL_MAD
 from camctl.model.response.camera import FloatArray
 
 #: Levels of a cell, of 256, fewest patches in one, and most of a pair of frames that are compared.
@@ -109,7 +110,7 @@ class PatchRatios:
             use = cell == place
             here = logs[use]
             mean = median(here)
-            scatter = 1.48 * median(np.abs(here - mean))
+            scatter = median(np.abs(here - mean)) / NORMAL_MAD
             error = math.hypot(1.25 * scatter / math.sqrt(here.size), median(shared[use]))
             means.append(mean)
             errors.append(math.hypot(error, SHARED))

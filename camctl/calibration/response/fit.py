@@ -35,6 +35,7 @@ from camctl.calibration.response.matches import LEAST_PIXELS, NOISE_STEPS, Match
 from camctl.calibration.response.spline import COEFFICIENTS, Knots, ascending
 from camctl.errors import DataError
 from camctl.evidence.patch_errors import median
+from camctl.evidence.quantiles import NORMAL_MAD
 from camctl.model.response.camera import FloatArray
 
 #: Size of a difference (in standard deviations of the prior) from which it counts as a bend.  A
@@ -43,9 +44,8 @@ _BEND = 2.0
 #: In the last rounds: weight of a difference over the mean square of those around it, the width of
 #: "around" in ln E, and the least mean square.
 _ADAPTED, _AROUND, _LEAST_CURVED = 1.5, 0.3, 0.024
-#: Standard deviations that an outlier counts as in the mean square of all; and a standard
-#: deviation over the median magnitude of normal errors.
-_MISFIT, _OF_MEDIAN = np.array([-3.0, 3.0]), 1.48
+#: Standard deviations that an outlier counts as in the mean square of all.
+_MISFIT = np.array([-3.0, 3.0])
 #: Rounds with the same prior for the whole curve.
 _ROUNDS = 6
 #: Standard deviations come from a prior weaker by the first factor, times the second one: what
@@ -284,7 +284,7 @@ class _System:
         Args:
             deviations: of the rows, which are matches alone, in their standard deviations
         """
-        size = max(1.0, _OF_MEDIAN * median(np.abs(deviations)))
+        size = max(1.0, median(np.abs(deviations)) / NORMAL_MAD)
         within = np.clip(deviations, *(_MISFIT * size))
         alike = _alike(np.split(within, self.starts))
         return max(1.0, float(np.mean(within**2))) * max(1.0, alike / self.expected_alike)
