@@ -4,8 +4,9 @@
 
 Each row is a sensor before a scene, metered as by ``camctl shoot``: seconds for a whole front (log
 1:1,000), for the plan by default, for plans within 0.5 and 2 s, and for one of 64 exposures.
-Nothing is cached before each of these five; the last column is the longest of them once more, with what was kept on disk.  A plan
-that ends in an error is marked by "!".  All cells take about 10 minutes.
+Nothing is cached before each of these five; the last column is the longest of them once more, with
+what was kept on disk.  A plan that ends in an error is marked by "!".  All cells take about 10
+minutes.
 """
 
 from __future__ import annotations
@@ -82,9 +83,8 @@ def main() -> None:
     arguments = [each.split(",") for each in sys.argv[1:]]
     sensors = arguments[0] if arguments else sensor_names()
     scenes = arguments[1] if len(arguments) > 1 else scene_names()
-    print(
-        f"{'sensor':16}{'scene':14}{'front':>8}{'default':>9}{'0.5 s':>8}{'2 s':>8}{'n = 64':>8}{'kept':>8}"
-    )
+    heads = ("front", "default", "0.5 s", "2 s", "n = 64", "kept")
+    print(f"{'sensor':16}{'scene':14}" + "".join(f"{head:>8}" for head in heads))
     worst, worst_kept, over = 0.0, 0.0, 0
     for sensor in sensors:
         for scene in scenes:
