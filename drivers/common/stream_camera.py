@@ -50,12 +50,26 @@ class StreamCamera(PreviewedCamera, Generic[DataT]):
     def _end_cycle(self) -> None:
         self._is_shooting = False
 
+    def step(
+        self, before: ExposureSetting, after: ExposureSetting, frames: int, *, early: int = 0
+    ) -> list[Frame]:
+        """Return the frames after a change of exposure; see `StreamingCamera.step`."""
+        self._check_ready()
+        for setting in (before, after):
+            self.controls.check(setting)
+        shots = self._pipeline.step(before, after, frames, early=early)
+        return [self._frame(shot, after) for shot in shots]
+
     def use_delay(self, delay: MeasuredDelay | None) -> None:
         """Use a measured control delay from now on; see `camctl.interface.camera.use_delay`."""
         self._check_open()
-        used = ControlDelay.of(delay)
+        used = self._delay(delay)
         self._pipeline.delay = used
         self._controls = with_delay(self.controls, used, self.info.id)
+
+    def _delay(self, measured: MeasuredDelay | None) -> ControlDelay:
+        """Return the delay to use with a measured one; None: none was measured."""
+        return ControlDelay.of(measured)
 
     def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
         rest = resting_setting(self.controls, settings)

@@ -50,7 +50,6 @@ from camctl.streaming import (
     Shot,
     TimestampedStream,
     mean_brightness,
-    with_delay,
 )
 
 #: Buffers that are filled while no frame is taken, as many as of V4L2 cameras.
@@ -119,23 +118,6 @@ class GenicamCamera(StreamCamera[Received]):
         """The open device, for its features."""
         self._check_open()
         return self._device
-
-    def step(
-        self, before: ExposureSetting, after: ExposureSetting, frames: int, *, early: int = 0
-    ) -> list[Frame]:
-        """Return the frames after a change of exposure; see `StreamingCamera.step`."""
-        self._check_ready()
-        for setting in (before, after):
-            self.controls.check(setting)
-        shots = self._pipeline.step(before, after, frames, early=early)
-        return [self._frame(shot, after) for shot in shots]
-
-    def use_delay(self, delay: MeasuredDelay | None) -> None:
-        """Use a measured control delay from now on; see `camctl.interface.camera.use_delay`."""
-        self._check_open()
-        used = self._delay(delay)
-        self._pipeline.delay = used
-        self._controls = with_delay(self.controls, used, self.info.id)
 
     # ---- opening
 

@@ -112,16 +112,6 @@ class V4l2Camera(StreamCamera[Pixels]):
         self._check_open()
         return self._mode.name
 
-    def step(
-        self, before: ExposureSetting, after: ExposureSetting, frames: int, *, early: int = 0
-    ) -> list[Frame]:
-        """Return the frames after a change of exposure; see `StreamingCamera.step`."""
-        self._check_ready()
-        for setting in (before, after):
-            self.controls.check(setting)
-        shots = self._pipeline.step(before, after, frames, early=early)
-        return [self._frame(shot, after) for shot in shots]
-
     def _open(self) -> None:
         with ExitStack() as resources:
             node = resources.enter_context(Node(self._path, self._kernel))
