@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 
 from camctl.errors import UsageError
 from camctl.exposure.candidates import BatchScore
-from camctl.exposure.objective import ExposureProblem, Objective
+from camctl.exposure.objective import MAX_DIRECT_LEVELS, ExposureProblem, Objective
 from camctl.exposure.settings_grid import SAME, SettingsGrid
 from camctl.exposure.solver import (
-    MAX_DIRECT_LEVELS,
     Progress,
     SearchOptions,
     Solution,
-    coarser,
     part_of,
     solve,
 )
@@ -221,7 +219,7 @@ def _search(
         MOVED_SETS * MOVES_PER_SET * batch.seconds > MOST_SECONDS
         and problem.response.M > MAX_DIRECT_LEVELS
     ):
-        problem = coarser(problem)[0]
+        problem = problem.coarser
         batch = BatchScore(problem)
     moves = max(2, min(MOVES_PER_SET, int(MOST_SECONDS / (MOVED_SETS * batch.seconds))))
     logs = np.log(exposures)

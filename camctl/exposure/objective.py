@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -31,7 +31,7 @@ from camctl.model.effective import (
     quantisation_levels,
     union_of_levels,
 )
-from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.model.response.camera import CameraResponse, FloatArray, every_nth_level
 from camctl.model.response.desired import DesiredResponse
 
 
@@ -246,6 +246,12 @@ WIDE_GAPS, SECONDS_A_WIDE_GAP = 2000, 1e-6
 """Gaps of a set that are not `NARROW`, at most, and the time for each; four times as long for p
 that is no whole number."""
 
+COARSER = 16
+"""The search for a camera of many levels starts from what is found with each 16th of them."""
+
+MAX_DIRECT_LEVELS = 1023
+"""Cameras of more levels do."""
+
 JITTER_DRAWS = 8
 """Draws over which the objective is averaged where exposures vary."""
 
@@ -312,6 +318,13 @@ class ExposureProblem:
         """G, the number of levels of the desired camera."""
         given = self.objective.levels_wanted
         return float(self.n * self.response.M if given is None else given)
+
+    @property
+    def coarser(self) -> ExposureProblem:
+        """The problem for a camera of each 16th level of many, without jitter."""
+        coarse = every_nth_level(self.response, COARSER)
+        fewer = max(1.0, self.levels_wanted * coarse.M / self.response.M)
+        return replace(self, response=coarse, objective=Objective(fewer, self.objective.p))
 
     @property
     def sorted_levels(self) -> int:

@@ -20,10 +20,10 @@ import numpy as np
 from camctl.errors import UsageError
 from camctl.exposure.candidates import MAX_FLOAT32_LEVELS, BatchScore
 from camctl.exposure.evaluation import evaluate
-from camctl.exposure.objective import ExposureProblem, Objective
+from camctl.exposure.objective import MAX_DIRECT_LEVELS, ExposureProblem, Objective
 from camctl.exposure.random_sets import RandomSets
 from camctl.model.effective import MOST_SEARCHED, check_count
-from camctl.model.response.camera import CameraResponse, FloatArray, every_nth_level
+from camctl.model.response.camera import CameraResponse, FloatArray
 from camctl.model.response.desired import DesiredResponse
 
 Progress = Callable[[float], None]
@@ -67,12 +67,6 @@ MAX_FINAL_LEVELS = 2e7
 
 FINAL_PASSES = 100
 """Passes over all exposures at the end, at most; a quarter of it for non-integer p."""
-
-COARSER = 16
-"""The search for a camera of many levels starts from what is found with each 16th of them."""
-
-MAX_DIRECT_LEVELS = 1023
-"""Cameras of more levels do."""
 
 FINALISTS = 4
 """Sets of the coarse search that the finer one starts from: their order may be another one."""
@@ -313,7 +307,7 @@ def _searches(
     """
     found = [_Search(problem, options, total_limit)]
     while problem.response.M > MAX_DIRECT_LEVELS and problem.objective.noise is None:
-        problem = coarser(problem)[0]
+        problem = problem.coarser
         limit_s = None if options.time_limit_s is None else options.time_limit_s / 2
         options = replace(options, time_limit_s=limit_s)
         found.insert(0, _Search(problem, options, total_limit))
@@ -322,21 +316,6 @@ def _searches(
     for each in found[1:]:
         each.most_starts, each.longest_step = NEXT_STARTS, NEXT_STEP
     return found
-
-
-def coarser(problem: ExposureProblem) -> tuple[ExposureProblem, float]:
-    """Return the problem for a camera of fewer levels, without jitter, and how many times fewer."""
-    coarse, finer = coarse_camera(problem.response)
-    objective = Objective(max(1.0, problem.levels_wanted / finer), problem.objective.p)
-    return ExposureProblem(coarse, problem.desired, problem.n, objective), finer
-
-
-def coarse_camera(response: CameraResponse) -> tuple[CameraResponse, float]:
-    """Return a camera with each 16th level of many, and how many times more there were."""
-    if response.M <= MAX_DIRECT_LEVELS:
-        return response, 1.0
-    coarse = every_nth_level(response, COARSER)
-    return coarse, response.M / coarse.M
 
 
 class _Search:

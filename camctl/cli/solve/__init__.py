@@ -273,8 +273,7 @@ def _certify(
     """
     from camctl.exposure.candidates import BatchScore
     from camctl.exposure.lower_bound import certify
-    from camctl.exposure.objective import ExposureProblem
-    from camctl.exposure.solver import MAX_DIRECT_LEVELS
+    from camctl.exposure.objective import MAX_DIRECT_LEVELS, ExposureProblem
 
     score = BatchScore(ExposureProblem(real, desired, n), exact=True)
     rate = 1 / score.seconds
