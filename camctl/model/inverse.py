@@ -64,8 +64,9 @@ Each has as many megabytes as its sum has tens of thousands of values."""
 _MOST_KEPT_LEVELS = 500_000
 """Levels of a camera up to which so many are kept, 50 MB each; of larger ones only the last is."""
 
-_FIRST_DARK = 1 / 16
-"""Brightness up to which nodes are looked at first for what sums say that it is dark."""
+_FIRST_DARK = 8
+"""Cells above the lower end of the range, 16 standard deviations of the noise, up to which nodes
+are looked at first for what sums say that it is dark."""
 
 _NOTABLE_DSNU = 0.01
 """Share of the variance in the dark from which the offsets of the pixels are integrated over."""
@@ -274,7 +275,7 @@ class Posterior:
         v, so that what lower sums say follows from the darker nodes alone.
         """
         v, weight = self._nodes
-        last = _FIRST_DARK
+        last = float(self._cells[int(np.searchsorted(self._cells, 0.0)) + _FIRST_DARK])
         while last < 1 and "inverse" not in vars(self):
             E = self._response.inverse(np.array([last]))
             least = self._least_sum(E)
