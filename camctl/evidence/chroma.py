@@ -104,6 +104,31 @@ def patch_chroma_variance(patches: Patches) -> NDArray[np.float32]:
     return np.asarray((every @ _VARIANCES).T.ravel(), np.float32)
 
 
+def photon_noise_ratios(
+    samples: Sequence[Patches], photons: Sequence[NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """Return the variance of each colour's photon noise over that of each other one, (3, 3).
+
+    It is the mean of the logarithm over patches of one file, in which no colour is clipped.
+
+    Args:
+        samples: patches of red, green and blue of each frame
+        photons: variance of a sample of each colour at each brightness, times any number
+    """
+    found = []
+    for patches in samples:
+        colours = patches.reshape(3, -1, patches.shape[1])
+        inside = (colours.min(axis=(0, 2)) > 0) & (colours.max(axis=(0, 2)) < len(photons[0]) - 1)
+        means = [
+            table.take(each[inside]).mean(axis=1)
+            for table, each in zip(photons, colours, strict=True)
+        ]
+        found.append(np.log(means))
+    of_colours = np.concatenate(found, axis=1)
+    middle = of_colours.mean(axis=1) if of_colours.size else np.zeros(3)
+    return np.asarray(np.exp(middle - middle[:, np.newaxis]))
+
+
 def patch_brightness(patches: Patches) -> NDArray[np.float32]:
     """Return Y of patches of red, green and blue, (patches, side, side)."""
     return brightness(_patch_squares(patches))

@@ -41,6 +41,10 @@ _EXAMPLE = (
     (72, 92, 95, 98, 112, 100, 103, 99),
 )
 
+#: Those of the differences of colours (table K.2); all others are the last one.
+_EXAMPLE_OF_CHROMA = np.full((SIDE, SIDE), 99.0)
+_EXAMPLE_OF_CHROMA[:4, :4] = (17, 18, 24, 47), (18, 21, 26, 66), (24, 26, 56, 99), (47, 66, 99, 99)
+
 #: Standard deviation of frequencies by rounded brightness and then colours, bins of a level,
 #: and what rounding makes of 0 at most: 4 of these.
 _ROUNDED, _OF_LEVEL = math.sqrt((1 + NOISE_OF_Y**2) / 12), 4
@@ -129,6 +133,15 @@ def quantisation(frames: Sequence[NDArray[np.float32]]) -> Floats | None:
     example = np.ravel(_EXAMPLE)
     scale = known[shown].sum() / example[shown].sum()
     return np.where(shown, known, np.maximum(np.rint(scale * example), 1))
+
+
+def chroma_steps(steps: Floats) -> Floats:
+    """Return the steps of Cb and Cr in a file whose steps of brightness these are.
+
+    Both tables are then the standard's example times one number, as encoders have it.
+    """
+    scale = steps.sum() / np.sum(_EXAMPLE)
+    return np.asarray(np.maximum(np.rint(scale * _EXAMPLE_OF_CHROMA.ravel()), 1))
 
 
 def _lost_detail(values: NDArray[np.float32], steps: Floats, noise: Floats) -> LostDetail:

@@ -45,8 +45,9 @@ _MET = 0.02
 #: Patches of more contrast, beyond their noise, are not used: an error of the exposures would add
 #: to their difference.
 _MOST_CONTRAST = 0.1
-_ROUNDS = 8
-#: Patches that are enough: by so many of 64 samples a noise is known to 0.2 %.
+#: Rounds of a fit, and of one that begins with what another colour shows, which is near.
+_ROUNDS, _ROUNDS_OF_MULTIPLE = 8, 2
+#: Patches of all colours of a file that are enough: so many of 64 samples show noise to 0.2 %.
 _ENOUGH = 8192
 #: Effective levels more uncertain than by this share are not stated: patches of nearly one
 #: brightness do not distinguish photon noise from read noise.
@@ -81,6 +82,13 @@ class _Fit(NamedTuple):
             found.append(np.maximum(self.noise + shares[best] * steps[best], 0.0))
         return found
 
+    def multiples(self, like: NoiseFit) -> list[_Floats]:
+        """Return the same where `noise` is a multiple of another one, which has its own errors."""
+        size = float(like.noise @ like.noise)
+        times = float(self.noise @ like.noise) / size
+        error = math.sqrt(self.covariance.trace() / size)
+        return [(times + error) * like.noise, *(times * each for each in like.neighbours)]
+
 
 class NoiseFit(NamedTuple):
     """Noise that patches show, as (inverse electrons per level, squared read noise) at gain 1.
@@ -109,11 +117,13 @@ class _Question:
         content: digest of all that the noise follows from
         patches: of the frames
         model: of their variance
+        like: what another colour shows, whose noise this one's is a multiple of; None: it is not
     """
 
     content: bytes
     patches: NoisePatches = field(compare=False)
     model: VarianceModel = field(compare=False)
+    like: NoiseFit | None = field(compare=False)
 
     @classmethod
     def of(
@@ -123,12 +133,14 @@ class _Question:
         response: CameraResponse,
         black: int,
         gains: Sequence[float],
+        like: NoiseFit | None,
     ) -> _Question:
         names = [each.name for each in fields(patches) if each.name not in ("is_even", "is_plain")]
-        digest = blake2b(repr((black, model.file, *gains)).encode())
+        known = like and like.noise.tolist()
+        digest = blake2b(repr((black, model.file, known, *gains)).encode())
         for each in (response.levels, *(getattr(patches, name) for name in names)):
             digest.update(np.ascontiguousarray(each).data)
-        return cls(digest.digest(), patches, model)
+        return cls(digest.digest(), patches, model, like)
 
 
 @lru_cache(maxsize=8)
@@ -146,14 +158,16 @@ def _fit(question: _Question) -> _Fit:
     each = patches.terms.sum(axis=0)
     start = float(np.median(patches.variance / each))
     change = _SMALL_CHANGE * max(start, float(np.median(patches.quantisers.sum(axis=0) / each)))
-    found, covariance = np.array([start, start]), np.zeros((2, 2))
-    for _ in range(_ROUNDS):
+    found, covariance, axes = np.array([start, start]), np.zeros((2, 2)), np.eye(2)
+    rounds = _ROUNDS
+    if question.like is not None:
+        found, rounds = question.like.noise, _ROUNDS_OF_MULTIPLE
+        axes = (found / found.sum())[np.newaxis]
+    for _ in range(rounds):
         table = model.tables(found)
         lit = patches.fitted(model, table)
         expected, scatter = lit.scatter(model, table)
-        others = [
-            lit.moments(model, model.tables(found + change * axis)).variance for axis in np.eye(2)
-        ]
+        others = [lit.moments(model, model.tables(found + change * axis)).variance for axis in axes]
         slopes = (np.stack(others) - expected) / change
         beyond = patches.variance - expected
         used = (np.abs(beyond) <= TRIM * scatter) & (scatter > 0)
@@ -164,9 +178,13 @@ def _fit(question: _Question) -> _Fit:
         if np.count_nonzero(used) <= 2:
             break
         terms = (slopes[:, used] / scatter[used]).T
-        values = (beyond + found @ slopes)[used] / scatter[used]
         before = found
-        found, covariance = _least_squares(terms, values)
+        if len(axes) == 2:
+            values = (beyond + found @ slopes)[used] / scatter[used]
+            found, covariance = _least_squares(terms, values)
+        else:
+            values = (beyond + found.sum() * slopes[0])[used] / scatter[used]
+            found, covariance = _multiple(terms[:, 0], values, axes[0])
         if (np.square(found - before) <= _MET**2 * covariance.diagonal()).all():
             break
     return _Fit(found, covariance)
@@ -196,7 +214,8 @@ def _contrast(patches: NoisePatches, model: VarianceModel, noise: _Floats) -> fl
     the `_OUTLIERS` with most of it.
     """
     lit = patches.fitted(model, table := model.tables(noise))
-    smooth, rough = lit.moments(model, table).variance, lit.with_contrast(model, table)
+    moments = lit.moments(model, table)
+    smooth, rough = moments.variance, lit.with_contrast(model, moments.by_noise)
     # Patches with contrast decide it, whose variance scatters by its own size.
     excess, more = (patches.variance - smooth) / rough, 1 - smooth / rough
     excess = np.minimum(excess, np.quantile(excess, 1 - _OUTLIERS))
@@ -217,6 +236,15 @@ def _least_squares(terms: _Floats, values: _Floats) -> tuple[_Floats, _Floats]:
     errors = square.diagonal() * alone**2 - 2 * product * alone
     alone[np.argmax(errors)] = 0.0
     return np.asarray(alone), np.asarray(covariance)
+
+
+def _multiple(terms: _Floats, values: _Floats, axis: _Floats) -> tuple[_Floats, _Floats]:
+    """Return the multiple >= 0 of a noise by least squares, and its covariance."""
+    square = float(terms @ terms)
+    times = max(float(terms @ values) / square, 0.0)
+    residual = values - times * terms
+    scale = max(1.0, float(residual @ residual) / (values.size - 1)) / square
+    return times * axis, scale * np.outer(axis, axis)
 
 
 def measure_noise(
@@ -277,6 +305,7 @@ def fit_noise(
     black: int,
     plain: NDArray[np.bool_] | None = None,
     file: BlockRounding | None = None,
+    like: NoiseFit | None = None,
 ) -> NoiseFit | None:
     """Return the noise that patches show; None where too few are in range in two frames.
 
@@ -288,6 +317,8 @@ def fit_noise(
         black: black level, DN
         plain: patches that show what compression adds, (patches,); None: all
         file: what the files of the frames make of noise in patches that are their blocks
+        like: what green shows, of which red and blue of such files have the most: their own noise
+            is then found as a multiple of it
     """
     if len(exposures) < 2:
         return None
@@ -306,17 +337,18 @@ def fit_noise(
         for pair in zip(order[:-1].tolist(), order[1:].tolist(), strict=True)
     ]
     everywhere = NoisePatches.joined(found)
-    patches = _some(everywhere, everywhere.is_even, model)
+    most = _ENOUGH // (file.colours if file else 1)
+    patches = _some(everywhere, everywhere.is_even, model, most)
     if patches.variance.size < _LEAST_PATCHES:
         return None
     try:
-        fit = _fit(_Question.of(patches, model, response, black, gains))
-        neighbours = fit.neighbours()
+        fit = _fit(_Question.of(patches, model, response, black, gains, like))
+        neighbours = fit.neighbours() if like is None else fit.multiples(like)
     except np.linalg.LinAlgError:
         return None
     compression = contrast = 0.0
     if response.M <= _COMPRESSED:
-        every = _some(everywhere, everywhere.is_plain, model)
+        every = _some(everywhere, everywhere.is_plain, model, most)
         if every.variance.size >= _LEAST_PATCHES:
             if file is None:
                 compression = _compression(every, model, fit.noise)
@@ -325,10 +357,12 @@ def fit_noise(
     return NoiseFit(fit.noise, neighbours, int(patches.freedom.sum()), compression, contrast)
 
 
-def _some(patches: NoisePatches, chosen: NDArray[np.bool_], model: VarianceModel) -> NoisePatches:
-    """Return the chosen patches, as many as are enough, with the range of their light."""
+def _some(
+    patches: NoisePatches, chosen: NDArray[np.bool_], model: VarianceModel, most: int
+) -> NoisePatches:
+    """Return the chosen patches, or some of them, with the range of their light."""
     places = np.flatnonzero(chosen)
-    return patches.where(places[:: max(1, places.size // _ENOUGH)]).with_ends(model)
+    return patches.where(places[:: max(1, places.size // most)]).with_ends(model)
 
 
 def _read_noise(square: float, gain: float, known: FrameNoise) -> float:

@@ -103,12 +103,14 @@ class _Moments(NamedTuple):
         error: mean error of the longer frame's light
         is_notable: whether the quantisers' mean errors are: elsewhere the variance hardly changes
             with the light
+        by_noise: (2, K), what `each` is before files change it
     """
 
     each: _Floats
     scatter: _Floats
     error: _Floats
     is_notable: NDArray[np.bool_]
+    by_noise: _Floats
 
     @property
     def variance(self) -> _Floats:
@@ -197,11 +199,11 @@ class NoisePatches:
         ends[:, notable] = some.ends
         return replace(self, light=light, contrast=contrast, ends=ends)
 
-    def with_contrast(self, model: VarianceModel, table: _Floats) -> _Floats:
+    def with_contrast(self, model: VarianceModel, by_noise: _Floats) -> _Floats:
         """Return the variance if all frequencies of a file showed contrast."""
         assert model.file is not None
         step = self._squared_steps
-        noise = self._by_noise(table)[0] / step
+        noise = by_noise / step
         return np.asarray((model.file.by_contrast(noise) * step).sum(axis=0))
 
     @property
@@ -212,11 +214,11 @@ class NoisePatches:
         """Return what noise and quantisers make of the patches, see `VarianceModel.tables`."""
         variance, error, is_notable = self._by_noise(table)
         if model.file is None:
-            return _Moments(variance, variance.sum(axis=0), error, is_notable)
+            return _Moments(variance, variance.sum(axis=0), error, is_notable, variance)
         step = self._squared_steps
         noise = variance / step
         kept, scatter = model.file.within(noise) * step, model.file.scatter(noise) * step
-        return _Moments(kept, scatter.sum(axis=0), error, is_notable)
+        return _Moments(kept, scatter.sum(axis=0), error, is_notable, variance)
 
     def _by_noise(self, table: _Floats) -> tuple[_Floats, _Floats, NDArray[np.bool_]]:
         """Return what `moments` does before files change it."""
@@ -243,4 +245,10 @@ class NoisePatches:
                 for light, contrast in ((-1, 0), (1, 0), (0, 1))
             )
             square[notable] += np.square((high - low) / 2) + np.square(wide - expected[notable])
+        if model.file is not None:
+            # A frequency whose rounding contrast changes has the square of half a step of it, or
+            # more, and up to a twelfth of the square of a step more of error, in both frames.
+            rough = self.with_contrast(model, found.by_noise)
+            most = np.minimum(2 / 3 * self.contrast[0], rough - expected)
+            square += np.square(np.maximum(most, 0.0)) / 3
         return expected, np.sqrt(square)

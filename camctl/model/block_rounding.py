@@ -11,10 +11,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from statistics import NormalDist
+from typing import ClassVar
 
 import numpy as np
 
+from camctl.model.distribution import normal_cdf
 from camctl.model.response.camera import FloatArray
 
 #: Encoders compute frequencies in multiples of 1/8, and round halves away from 0 (libjpeg): all
@@ -27,8 +28,6 @@ _LEAST_LEVELS, _MOST_LEVELS, _OF_FILE = 0.01, 256.0, 257
 #: Noise of samples in a table, levels, beyond which files add as much, and nodes of a level.
 _MOST_NOISE, _OF_LEVEL = 32, 32
 
-_below = np.vectorize(NormalDist().cdf, otypes=[np.float64])
-
 
 @dataclass(frozen=True)
 class BlockRounding:
@@ -38,10 +37,12 @@ class BlockRounding:
         steps: of the frequencies of a block, levels, the mean first
         contrast: share of the frequencies that contrast of the scene makes any part of a step, so
             that their errors by rounding are even
+        colours: of the file
     """
 
     steps: tuple[float, ...]
     contrast: float = 0.0
+    colours: ClassVar[int] = 1
 
     def within(self, variance: FloatArray) -> FloatArray:
         """Return the variance within blocks of a smooth scene, levels squared.
@@ -100,7 +101,7 @@ class BlockRounding:
     @cached_property
     def _tables(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """What the methods return over the variance of the noise."""
-        variance = np.square(np.geomspace(_LEAST_LEVELS, _MOST_LEVELS, _OF_FILE))
+        variance = nodes_of()
         steps, each = np.unique(self.steps, return_inverse=True)
         noise = np.sqrt(variance)
         mean, spread = np.stack([rounded_moments(noise, step) for step in steps], axis=1)[:, each]
@@ -113,6 +114,11 @@ class BlockRounding:
         return (within + dither) / variance, (scatter + dither) / variance, error / variance
 
 
+def nodes_of() -> FloatArray:
+    """Return the variances of the noise of tables."""
+    return np.square(np.geomspace(_LEAST_LEVELS, _MOST_LEVELS, _OF_FILE))
+
+
 def rounded_moments(noise: FloatArray, step: float) -> FloatArray:
     """Return mean and variance of the square of rounded normal variables of mean 0, (2, nodes).
 
@@ -123,7 +129,7 @@ def rounded_moments(noise: FloatArray, step: float) -> FloatArray:
     multiple = np.arange(1, 8 * _WIDE)[:, np.newaxis]
     narrow = np.searchsorted(noise, _WIDE * step)
     thresholds = (multiple - 0.5) * step - _LARGER
-    beyond = 2 * _below(-thresholds / noise[:narrow])
+    beyond = 2 * normal_cdf(-thresholds / noise[:narrow])
     mean = ((2 * multiple - 1) * beyond).sum(axis=0) * step**2
     fourth = ((multiple**4 - (multiple - 1) ** 4) * beyond).sum(axis=0) * step**4
     wide = noise[narrow:]
@@ -134,3 +140,20 @@ def rounded_moments(noise: FloatArray, step: float) -> FloatArray:
             np.concatenate([fourth - mean**2, 2 * np.square(wide**2 + added)]),
         ]
     )
+
+
+def rounded_gain(noise: FloatArray, step: float) -> FloatArray:
+    """Return which share of a small normal variable, added to a rounded one, is kept in the mean.
+
+    It is also the covariance of the rounded variable and another one, over that before (Bussgang).
+
+    Args:
+        noise: standard deviation of the variables, ascending
+        step: what they are rounded to multiples of
+    """
+    multiple = np.arange(1, 8 * _WIDE)[:, np.newaxis]
+    narrow, wide = np.split(noise, [np.searchsorted(noise, _WIDE * step)])
+    thresholds = (multiple - 0.5) * step - _LARGER
+    density = np.exp(-np.square(thresholds / narrow) / 2).sum(axis=0) / narrow
+    root = math.sqrt(2 / math.pi)
+    return np.concatenate([root * step * density, 1 + root * _LARGER / wide])

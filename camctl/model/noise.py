@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from camctl.errors import UsageError
-from camctl.model.block_rounding import BlockRounding
+
+if TYPE_CHECKING:
+    from camctl.model.block_rounding import BlockRounding
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,8 @@ from camctl.evidence.lost_detail import (
     file_steps,
     lost_details,
 )
-from camctl.evidence.noise import NoiseFit, fit_noise
+from camctl.evidence.noise import NoiseFit
+from camctl.evidence.part_noise import file_roundings, fit_parts
 from camctl.evidence.patch_noise import electrons_per_level
 from camctl.evidence.patches import SIDE, Patches
 from camctl.interface.controls import Layout
@@ -323,15 +324,14 @@ def frame_light(
         and black + parts[0].response.M == LEVELS - 1
     ):
         steps = file_steps(samples, len(parts))
-    file = None if steps is None or len(parts) > 1 else BlockRounding(tuple(steps.tolist()))
+    responses = [each.response for each in parts]
+    files = file_roundings(steps, responses, samples, black)
+    fits: list[NoiseFit | None] = [None] * len(parts)
+    if noise is None:
+        fits = fit_parts(responses, samples, exposures, gains, black, plain, files)
     found, noises = [], []
     alike: dict[FrameSet, Estimator] = {}
-    for at, part in enumerate(parts):
-        patches = [np.array_split(each, len(parts))[at] for each in samples]
-        fit = None
-        if noise is None:
-            shown = None if plain is None else np.array_split(plain, len(parts))[at]
-            fit = fit_noise(part.response, patches, exposures, gains, black, shown, file)
+    for at, (part, file, fit) in enumerate(zip(parts, files, fits, strict=True)):
         frames = _frame_set(part.response, black, exposures, noise, fit, gains, (least[at], file))
         is_known = noise is not None or fit is not None
         # By theorem 1 of the paper the sum loses nothing where there is no noise.
@@ -350,7 +350,7 @@ def frame_light(
     tables = [each.tables for _, each in found if plain is not None and each.tables is not None]
     details = _lost_details(tables[1], samples, steps) if tables and steps is not None else ()
     beside = None
-    if file is not None and is_known:
+    if file is not None and is_known and len(parts) == 1:
         noise = tuple(replace(each, file=replace(file, contrast=1.0)) for each in frames.noise)
         edges = replace(frames, noise=noise, beside_saturated=True)
         beside = _likelihood(edges, None, gains, is_known=True, is_independent=False).estimate
@@ -399,7 +399,9 @@ def _frame_set(
     compression, file = compressed
     if known is None:
         stand_in = response.M / _STAND_IN_E, 0.0
-        if fit is not None:
+        if fit is None:
+            file = None  # what it makes of noise is not known either
+        else:
             compression = max(compression, fit.compression_levels)
             file = file and replace(file, contrast=fit.contrast)
         inverse_square = stand_in if fit is None else fit.noise.tolist()

@@ -1,0 +1,77 @@
+"""The noise of samples of different responses: of one brightness, of a mosaic, or of colours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.evidence.chroma import photon_noise_ratios
+from camctl.evidence.lost_detail import chroma_steps
+from camctl.evidence.noise import NoiseFit, fit_noise
+from camctl.evidence.patches import Patches
+from camctl.model.block_rounding import BlockRounding
+from camctl.model.colour_rounding import ColourRounding
+from camctl.model.response.camera import CameraResponse
+from camctl.model.sensor import SensorModel
+
+_GREEN, _RED, _BLUE = 1, 0, 2
+
+
+def file_roundings(
+    steps: NDArray[np.float64] | None,
+    responses: Sequence[CameraResponse],
+    samples: Sequence[Patches],
+    black: int,
+) -> list[BlockRounding | None]:
+    """Return what a file makes of the noise of each part.
+
+    Args:
+        steps: of the frequencies of its brightness, levels; None: they are not known
+        responses: of the part, or of red, green and blue
+        samples: patches of each frame, part by part
+        black: brightness without light, DN
+    """
+    if steps is None:
+        return [None] * len(responses)
+    own = tuple(steps.tolist())
+    if len(responses) == 1:
+        return [BlockRounding(own)]
+    others = tuple(chroma_steps(steps).tolist())
+    sensors = [SensorModel(each, black) for each in responses]
+    photons = [each.light / np.maximum(each.gap, 1e-12) ** 2 for each in sensors]
+    return [
+        ColourRounding(own, chroma_steps=others, colour=at, noise=tuple(row.tolist()))
+        for at, row in enumerate(photon_noise_ratios(samples, photons))
+    ]
+
+
+def fit_parts(
+    responses: Sequence[CameraResponse],
+    samples: Sequence[Patches],
+    exposures: Sequence[float],
+    gains: Sequence[float],
+    black: int,
+    plain: NDArray[np.bool_] | None,
+    files: Sequence[BlockRounding | None],
+) -> list[NoiseFit | None]:
+    """Return the noise that the patches of each part show, see `fit_noise`.
+
+    In files of colours most noise of red and of blue is the noise of green, through brightness:
+    what they have of their own shows how much it is, but not how it changes with the light.
+    """
+    count = len(responses)
+    of_parts = [[np.array_split(each, count)[at] for each in samples] for at in range(count)]
+    shown = [None] * count if plain is None else np.array_split(plain, count)
+
+    def fitted(at: int, like: NoiseFit | None = None) -> NoiseFit | None:
+        response, patches, file = responses[at], of_parts[at], files[at]
+        return fit_noise(response, patches, exposures, gains, black, shown[at], file, like)
+
+    if count == 3 and files[_GREEN] is not None:
+        green = fitted(_GREEN)
+        if green is None or not green.noise.any():
+            return [fitted(at) for at in range(count)]
+        return [fitted(_RED, green), green, fitted(_BLUE, green)]
+    return [fitted(at) for at in range(count)]
