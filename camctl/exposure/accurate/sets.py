@@ -276,11 +276,8 @@ class AccurateSets:
                     break
         return best
 
-    def reaching(self, levels: float, limit: float, *, like: Rated | None = None) -> Rated | None:
-        """Return the shortest set found within `limit` that has `levels`, or None.
-
-        `like` is a set of nearly as many levels, of which the estimate errs as much.
-        """
+    def reaching(self, levels: float, limit: float) -> Rated | None:
+        """Return the shortest set found within `limit` that has `levels`, or None."""
         best = self._listed.quickest(levels, limit) if self._listed.numbers else None
         if self.enumerated:
             return best
@@ -290,13 +287,11 @@ class AccurateSets:
             limit = min(limit, max(low, self.longest_of_use))
         if not self.dithered or self.searches[0].is_list:
             return self._shortest(levels, limit, time, best)
-        if like is None:
-            design, search = self._best_estimated(time)
-            like = self.judge(search.shots(design))
-        goal = levels * self.judge.estimated(like.shots) / like.levels  # as the estimate errs
+        design, search = self._best_estimated(time)
+        rated = self.judge(search.shots(design))
+        goal = levels * design.levels / rated.levels  # as much as the estimate errs
         time = max(low, min(self._estimated_time(goal), limit))
         design, search = self._best_estimated(time, thorough=True)
-        design = search.reduced(design, goal)
         fixed, missed, top = self.problem.available.costs.fixed, low, limit
         for _ in range(JUDGEMENTS):
             rated = self.judge(search.shots(design))
