@@ -17,16 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.patches import Patches
+from camctl.model.colour_rounding import DECODED, ENCODED
 from camctl.system.picture_operations import box_means
 
-OF_Y = np.array((0.299, 0.587, 0.114), np.float32)
-"""Weights of red, green and blue in Y (ITU-T T.871)."""
+OF_Y = ENCODED[0].astype(np.float32)
+"""Weights of red, green and blue in Y."""
 
-#: Range of Cb and of Cr as shares of that of B - Y and of R - Y (ITU-T T.871).
-_OF_BLUE, _OF_RED = 1.772, 1.402
 #: What one level squared of Cb and of Cr is in red, green and blue, levels squared.
-_GREEN = (_OF_BLUE * 0.114 / 0.587) ** 2, (_OF_RED * 0.299 / 0.587) ** 2
-_VARIANCES = np.array(((0, _GREEN[0], _OF_BLUE**2), (_OF_RED**2, _GREEN[1], 0)), np.float32)
+_VARIANCES = np.square(DECODED[:, 1:].T).astype(np.float32)
 
 ROUNDING = np.sqrt((1 + _VARIANCES.sum(axis=0)) / 12)
 """Standard deviation of red, green and blue, levels, by whole numbers of Y, Cb and Cr: the least
@@ -166,7 +164,7 @@ def _lost_chroma(
     # Without the root, sharp pictures lose more than that and soft ones less.
     share = np.sqrt(np.minimum(mean(detail) / spread, 1)) * np.float32(_OTHER)
     found = []
-    for colour, scale in ((blue, _OF_BLUE), (red, _OF_RED)):
+    for colour, scale in ((blue, DECODED[2, 1]), (red, DECODED[0, 2])):
         chroma = (colour - Y) * np.float32(1 / scale)
         average = mean(chroma)
         slope = (mean(chroma * Y) - average * middle) / spread

@@ -16,8 +16,6 @@ from camctl.model.colour_rounding import ColourRounding
 from camctl.model.response.camera import CameraResponse
 from camctl.model.sensor import SensorModel
 
-_GREEN, _RED, _BLUE = 1, 0, 2
-
 
 def file_roundings(
     steps: NDArray[np.float64] | None,
@@ -69,9 +67,9 @@ def fit_parts(
         response, patches, file = responses[at], of_parts[at], files[at]
         return fit_noise(response, patches, exposures, gains, black, shown[at], file, like)
 
-    if count == 3 and files[_GREEN] is not None:
-        green = fitted(_GREEN)
+    if count == 3 and files[1] is not None:
+        green = fitted(1)
         if green is None or not green.noise.any():
             return [fitted(at) for at in range(count)]
-        return [fitted(_RED, green), green, fitted(_BLUE, green)]
+        return [fitted(0, green), green, fitted(2, green)]
     return [fitted(at) for at in range(count)]

@@ -21,15 +21,18 @@ from camctl.model.block_rounding import BlockRounding, nodes_of, rounded_gain, r
 from camctl.model.distribution import normal_cdf
 from camctl.model.response.camera import FloatArray
 
-#: Y, Cb and Cr of red, green and blue (ITU-T T.871).
-_ENCODED = np.array(
+ENCODED = np.array(
     (
         (0.299, 0.587, 0.114),
         (-0.299 / 1.772, -0.587 / 1.772, 0.5),
         (0.5, -0.587 / 1.402, -0.114 / 1.402),
     )
 )
-_DECODED = np.linalg.inv(_ENCODED)
+"""Y, Cb and Cr of red, green and blue (ITU-T T.871), (3, 3)."""
+
+DECODED = np.linalg.inv(ENCODED)
+"""Red, green and blue of Y, Cb and Cr, (3, 3)."""
+
 _SIDE = 8
 #: Variance of the mean of four cells that a pixel of Cb or Cr is, with weights 9, 3, 3 and 1.
 _SMOOTHED = 100 / 256
@@ -55,12 +58,12 @@ class ColourRounding(BlockRounding):
     @property
     def _common(self) -> FloatArray:
         """Covariances of Y, Cb and Cr by noise of the colour of variance 1."""
-        return np.asarray((_ENCODED * self.noise) @ _ENCODED.T)
+        return np.asarray((ENCODED * self.noise) @ ENCODED.T)
 
     @property
     def _kept(self) -> FloatArray:
         """What is left of noise of variance 1 in each frequency without rounding, (64,)."""
-        decoded, common, geometry = _DECODED[self.colour], self._common, _geometry()
+        decoded, common, geometry = DECODED[self.colour], self._common, _geometry()
         chroma = decoded[1:] @ common[1:, 1:] @ decoded[1:] / 4
         return np.asarray(
             common[0, 0]
@@ -71,7 +74,7 @@ class ColourRounding(BlockRounding):
     @property
     def _rounding(self) -> FloatArray:
         """What rounding makes of the mean of each frequency of contrast, (64,)."""
-        chroma = np.square(_DECODED[self.colour, 1:]).sum()
+        chroma = np.square(DECODED[self.colour, 1:]).sum()
         of_chroma = _geometry().spread @ np.square(self.chroma_steps)
         return np.asarray((np.square(self.steps) + chroma * of_chroma) / 12)
 
@@ -82,7 +85,7 @@ class ColourRounding(BlockRounding):
     @cached_property
     def _tables(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         variance = nodes_of()
-        decoded, geometry = _DECODED[self.colour], _geometry()
+        decoded, geometry = DECODED[self.colour], _geometry()
         common = self._common
         of_one = np.diagonal(common).tolist()
         bright = _plane(of_one[0], self.steps, is_chroma=False)
