@@ -69,7 +69,6 @@ def fit_parts(
 
     if count == 3 and files[1] is not None:
         green = fitted(1)
-        if green is None or not green.noise.any():
-            return [fitted(at) for at in range(count)]
-        return [fitted(0, green), green, fitted(2, green)]
+        like = green if green is not None and green.noise.any() else None
+        return [fitted(0, like), green, fitted(2, like)]
     return [fitted(at) for at in range(count)]

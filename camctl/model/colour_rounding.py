@@ -55,14 +55,14 @@ class ColourRounding(BlockRounding):
     noise: tuple[float, ...] = (1.0, 1.0, 1.0)
     colours: ClassVar[int] = 3
 
-    @property
+    @cached_property
     def _common(self) -> FloatArray:
         """Covariances of Y, Cb and Cr by noise of the colour of variance 1."""
         return np.asarray((ENCODED * self.noise) @ ENCODED.T)
 
-    @property
+    @cached_property
     def _kept(self) -> FloatArray:
-        """What is left of noise of variance 1 in each frequency without rounding, (64,)."""
+        """Variance of each frequency by noise of variance 1, without rounding, (64,)."""
         decoded, common, geometry = DECODED[self.colour], self._common, _geometry()
         chroma = decoded[1:] @ common[1:, 1:] @ decoded[1:] / 4
         return np.asarray(
@@ -71,7 +71,7 @@ class ColourRounding(BlockRounding):
             + 2 * (decoded[1:] @ common[0, 1:]) * geometry.shared.sum(axis=1)
         )
 
-    @property
+    @cached_property
     def _rounding(self) -> FloatArray:
         """What rounding makes of the mean of each frequency of contrast, (64,)."""
         chroma = np.square(DECODED[self.colour, 1:]).sum()
