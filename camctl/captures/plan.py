@@ -174,10 +174,11 @@ def _dark_share(light: Light, end: float, chosen: Chosen, controls: ExposureCont
     camera, noise = coarser(camera, controls.frame_noise(settings), dithers)
     posterior = posterior_of(camera, chosen.desired, noise)
     has_noise = controls.noise is not None and not controls.noise.is_none
-    if has_noise and _is_rated_by_all(controls, settings):
-        posterior.inverse  # noqa: B018 - levels and pictures need it; it has what is dark, too
     E = np.geomspace(irradiance[0], irradiance[-1], _NODES)
-    dark = posterior.dark_shares(E)
+    if has_noise and _is_rated_by_all(controls, settings):
+        dark = posterior.shares(E, posterior.inverse.dark)  # levels and pictures need the inverse
+    else:
+        dark = posterior.dark_shares(E)
     return float(np.interp(irradiance, E, dark) @ light.shares)
 
 

@@ -17,6 +17,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,9 @@ from camctl.evidence.chroma import NOISE_OF_Y, patch_brightness
 from camctl.evidence.patches import SIDE, Patches
 
 Floats = NDArray[np.float64]
+
+Steps: TypeAlias = Floats | Literal["measure"] | None
+"""Steps of the frequencies of brightness in files, (64,), levels; None where there are none."""
 
 LEVELS = 256
 """Levels of brightness."""

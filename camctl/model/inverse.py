@@ -115,12 +115,14 @@ class Inverse:
         u: posterior mean of u for a prior within the range: the value of least mean square error
         E: irradiance at the posterior mean of u, for the prior that extends beyond the range
         deviation: root mean square error of `E`, irradiance
+        dark: whether the light is below the desired range, or none is shown
         mse: mean square error of `u` over the range
     """
 
     u: FloatArray
     E: FloatArray
     deviation: FloatArray
+    dark: NDArray[np.bool_]
     mse: float
 
     @property
@@ -255,9 +257,11 @@ class Posterior:
         u = np.interp(sums, sums[known], np.clip(mean_v, 0.0, 1.0))
         within = found[0] > _LEAST_KNOWN
         u[within] = found[1, within] / found[0, within]
+        E = np.interp(sums, sums[known], best)
         return Inverse(
             u=u,
-            E=np.interp(sums, sums[known], best),
+            E=E,
+            dark=(self.desired.e_min > E) | (sums <= self.sum.black),
             deviation=np.sqrt(np.maximum(np.interp(sums, sums[known], variance), 0.0)),
             mse=float(np.sum(inside * (v**2 + self._spread)) - np.sum(u * found[1])),
         )
@@ -290,9 +294,7 @@ class Posterior:
                 found[: self.sum.black + 1] = True
                 return found, float(E[0])
             last *= 2
-        found = self.desired.e_min > self.inverse.E
-        found[: self.sum.black + 1] = True
-        return found, np.inf
+        return self.inverse.dark, np.inf
 
     def _least_sum(self, E: FloatArray) -> int:
         """Return the least sum that occurs at an irradiance, (1,)."""

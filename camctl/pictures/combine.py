@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from camctl.errors import unknown_name
-from camctl.evidence.lost_detail import LEVELS, file_steps
+from camctl.evidence.lost_detail import LEVELS, Steps, file_steps
 from camctl.evidence.movement import Movement, find_movement
 from camctl.evidence.patches import Patches, sample_patches
 from camctl.evidence.residual import Pair, Side
@@ -112,13 +112,17 @@ def combine(
     # Also without a layout the frames may be a mosaic: neighbours of one colour make a patch.
     planes = Layout.RGGB.planes if kind is Layout.MONO else kind.planes
     samples = [sample_patches(planes(each), top) for each in pictures]
+    steps: Steps = "measure"
     if kind is Layout.MONO and top == LEVELS - 1:
         blocks = [sample_patches([each], top) for each in pictures]
-        if file_steps(blocks, 1) is not None:  # no file of a mosaic has them
+        steps = file_steps(blocks, 1)
+        if steps is not None:  # no file of a mosaic has them
             samples = blocks
     known = None if noise is None else known_noise(noise, exposures, black)
     parts = parts_of(kind, responses)
-    light = frame_light(parts, relative, known, samples, black=black, unit=shortest, method=method)
+    light = frame_light(
+        parts, relative, known, samples, black=black, unit=shortest, method=method, steps=steps
+    )
     found = _combined(light, pictures, black)
     findings = []
     if method != "sum":

@@ -23,12 +23,7 @@ from camctl.evidence.chroma import (
     patch_brightness,
     patch_chroma_variance,
 )
-from camctl.evidence.lost_detail import (
-    LEVELS,
-    LostDetail,
-    file_steps,
-    lost_details,
-)
+from camctl.evidence.lost_detail import LEVELS, LostDetail, Steps, file_steps, lost_details
 from camctl.evidence.noise import NoiseFit
 from camctl.evidence.part_noise import file_roundings, fit_parts
 from camctl.evidence.patch_noise import electrons_per_level
@@ -296,6 +291,7 @@ def frame_light(
     gains: Sequence[float] | None = None,
     method: str = "likelihood",
     prior: DesiredResponse | None = None,
+    steps: Steps = "measure",
 ) -> FrameLight:
     """Return what estimates the light of frames.
 
@@ -309,6 +305,8 @@ def frame_light(
         gains: of each frame, linear; None: all are equal
         method: "likelihood", or "sum": the posterior mean after the sum of the frames
         prior: what a sum is inverted with; None: all light is equally probable
+        steps: of the frequencies of brightness in the files of the frames, levels; None: there are
+            none; "measure": `samples` show them
     """
     gains = gains or [1.0] * len(exposures)
     is_sum = method == "sum" or (noise is not None and is_noiseless(noise))
@@ -317,12 +315,9 @@ def frame_light(
     if not is_sum and len(parts) == len(LETTERS) and has_few_chroma_samples(samples, highest):
         least = ROUNDING.tolist()
         plain = np.all([patch_chroma_variance(each) <= NOTABLE for each in samples], axis=0)
-    steps = None
-    if (
-        not is_sum
-        and (plain is not None or len(parts) == 1)
-        and black + parts[0].response.M == LEVELS - 1
-    ):
+    if is_sum or (plain is None and len(parts) > 1) or black + parts[0].response.M != LEVELS - 1:
+        steps = None
+    if isinstance(steps, str):
         steps = file_steps(samples, len(parts))
     responses = [each.response for each in parts]
     files = file_roundings(steps, responses, samples, black)

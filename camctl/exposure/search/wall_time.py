@@ -43,18 +43,12 @@ def predicted_wall_s(
         return 0.0
     times = [setting.time_s for setting in settings]
     costs = time_costs(controls, before=before, shortest_s=times[0])
-    if controls.frame_interval_s == 0 or controls.delay_frames is not None:
-        return costs.fixed + costs.total(times)
+    total = costs.fixed + costs.total(times)
     timing, usual = controls.timing or CaptureTiming(), controls.frame_interval_s
-    last = first = _first_slot_s(controls, before)
-    total = _lead_frames(controls, first) * first
-    for place, slot in enumerate(max(time_s, usual) for time_s in times):
-        # Each write after the first comes when a frame has been read, after a slot has begun.
-        if place and timing.lead_frames:
-            total += last * max(1, math.ceil(timing.readout_s / last))
-        total += timing.old_frames * last + (timing.unsettled_frames + 1) * slot
-        last = slot
-    return total + timing.readout_s
+    if usual and controls.delay_frames is None and timing.lead_frames:
+        slots = [max(time_s, usual) for time_s in times[:-1]]
+        total += sum(_missed_s(timing, slot) - costs.extra for slot in slots)
+    return total
 
 
 def time_costs(
@@ -86,10 +80,18 @@ def time_costs(
         waiting_s = (timing.lead_frames + controls.delay_frames) * first
         return TimeCosts(least=max(usual, readout_s), fixed=waiting_s + readout_s)
     waiting = timing.old_frames + bool(timing.lead_frames)
-    extra_s = usual * max(0, math.ceil(readout_s / usual) - 1) if timing.lead_frames else 0.0
+    extra_s = _missed_s(timing, usual) if timing.lead_frames else 0.0
     first_s = (_lead_frames(controls, first) + timing.old_frames) * first
     fixed_s = first_s + readout_s - extra_s  # the first one has no slot before it
     return TimeCosts(timing.unsettled_frames + 1 + waiting, usual, extra_s, fixed_s, waiting)
+
+
+def _missed_s(timing: CaptureTiming, slot_s: float) -> float:
+    """Return the time of the slots that pass while a frame is read, but for one, s.
+
+    Each setting after the first is written when a frame has been read, after a slot has begun.
+    """
+    return slot_s * max(0, math.ceil(timing.readout_s / slot_s) - 1)
 
 
 def _first_slot_s(controls: ExposureControls, before: ExposureSetting | None) -> float:
