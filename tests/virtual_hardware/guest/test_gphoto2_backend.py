@@ -50,7 +50,7 @@ class TestStandard(DeviceConformance):
         with rig.open_device(cls.device) as camera:
             cls._by_ptp = shoot(camera)
 
-    def open_device(self) -> Camera:
+    def open_anew(self) -> Camera:
         return by_libgphoto2(self.device)
 
     def test_frames_are_those_of_ptp_bit_for_bit(self, camera: Camera) -> None:
