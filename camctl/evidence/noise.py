@@ -315,7 +315,7 @@ def fit_noise(
         exposures: relative exposures of the frames
         gains: linear gain of each frame
         black: black level, DN
-        plain: patches that show what compression adds, (patches,); None: all
+        plain: patches that show what compression adds, (patches,); None: that is not asked for
         file: what the files of the frames make of noise in patches that are their blocks
         like: what green shows, of which red and blue of such files have the most: their own noise
             is then found as a multiple of it
@@ -324,7 +324,7 @@ def fit_noise(
         return None
     order = np.argsort(exposures, kind="stable")
     sensor, model = SensorModel(response, black), VarianceModel(response, black, gains, file)
-    shown = np.ones(len(samples[0]), np.bool_) if plain is None else plain
+    shown = np.zeros(len(samples[0]), np.bool_) if plain is None else plain
     found = [
         _pair(
             [samples[k] for k in pair],

@@ -58,10 +58,12 @@ def fit_parts(
 
     In files of colours most noise of red and of blue is the noise of green, through brightness:
     what they have of their own shows how much it is, but not how it changes with the light.
+    Without `plain`, all patches show what compression adds.
     """
     count = len(responses)
     of_parts = [[np.array_split(each, count)[at] for each in samples] for at in range(count)]
-    shown = [None] * count if plain is None else np.array_split(plain, count)
+    every = np.ones(len(samples[0]), np.bool_)
+    shown = np.array_split(every if plain is None else plain, count)
 
     def fitted(at: int, like: NoiseFit | None = None) -> NoiseFit | None:
         response, patches, file = responses[at], of_parts[at], files[at]

@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from camctl.captures.metering import meter_light
 from camctl.captures.plan import plan_for
 from camctl.errors import CaptureError, UsageError
@@ -173,7 +175,8 @@ def measured_noise(controls: ExposureControls, frames: Sequence[Frame]) -> Noise
     shortest = min(exposures)
     gains = [frame.applied.gain for frame in frames]
     relative = [each / shortest for each in exposures]
-    fit = fit_noise(controls.levels, patches, relative, gains, controls.black)
+    every = np.ones(len(patches[0]), np.bool_)
+    fit = fit_noise(controls.levels, patches, relative, gains, controls.black, every)
     if fit is None:
         return None
     inverse, square = fit.noise.tolist()
