@@ -111,6 +111,8 @@ class AvailableExposures:
         times: (S,) times that can be set, any order; None: any time
         gains: gains that combine with each time
         shortest, longest: the shortest and the longest time, where any can be set
+        step: distance of two times that can be set then; 0: none.  Sets of cameras whose noise
+            dithers the quantiser are found without it
         base: for a list, smallest and largest product time x gain of the shortest exposure, which
             decides the light that just saturates; None: any.  Where any time can be set the
             shortest exposure is time 1 at the smallest gain
@@ -126,6 +128,7 @@ class AvailableExposures:
     gains: tuple[float, ...] = (1.0,)
     shortest: float = 0.0
     longest: float = math.inf
+    step: float = 0.0
     base: tuple[float, float] | None = None
     unit_s: float = 0.0
     costs: TimeCosts = TimeCosts()
@@ -187,6 +190,7 @@ class AccuracyProblem:
             self.black,
             times,
             (available.gains, available.shortest, available.longest, available.base),
+            available.step,
             available.unit_s,
         )
 

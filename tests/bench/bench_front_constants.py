@@ -44,12 +44,11 @@ CONSTANTS: list[tuple[ModuleType, str, tuple[float, ...]]] = [
     (sets, "MOST_POLISHED", (0, 100_000)),
     (gap_filling, "EXCHANGED", (2, 5)),
     (gap_filling, "RATED", (6, 24)),
-    (gap_filling, "STEPS", (3, 12)),
+    (gap_filling, "STEPS", (2, 8)),
     (gap_filling, "COARSE", (1, 6)),
-    (least_quantisation, "LONGER", (1, 20)),
-    (least_quantisation, "TRIED", (3, 7)),
-    (least_quantisation, "EXCHANGES", (3, 12)),
-    (least_quantisation, "MORE_EXCHANGES", (15, 60)),
+    (least_quantisation, "STARTS", (12, 72)),
+    (least_quantisation, "MOST_STEPPED", (0, 16_000_000)),
+    (least_quantisation, "MOST_EXCHANGED", (0, 640_000)),
 ]
 """Modules, names of their constants, and other values."""
 

@@ -89,7 +89,7 @@ def test_exchanges_lower_the_error_within_time_and_count(response: str) -> None:
     each = filling(response, limit=600.0)
     row = each.within.scaled(np.linspace(0.0, REACH, 5)[np.newaxis])[0]
     settled, after = each.settled(row)
-    better, least = each.improved(row, 20)
+    better, least = each.improved(row, 20, np.random.default_rng(0))
     before = error(each.response.levels, row, each.desired)
     assert least < after < before
     for found, stated in ((settled, after), (better, least)):
@@ -99,6 +99,41 @@ def test_exchanges_lower_the_error_within_time_and_count(response: str) -> None:
         assert np.all(np.diff(found) >= 0)
         assert found[-1] <= REACH
     assert 2 <= better.size <= 8
+
+
+@pytest.mark.parametrize("response", ["log", "linear"])
+def test_in_whole_steps_no_single_step_of_an_exposure_is_better(response: str) -> None:
+    """Rounded alone, levels that interleave no longer do."""
+    each, step = filling(response, limit=600.0), 0.002
+    row = np.log1p(np.array([0.0, 0.0011, 0.0207, 0.5313, 1.7777, 40.1234]))
+    found = each.stepped(row, step, 10**8)
+    number = np.expm1(found) / step
+    assert np.allclose(number, np.round(number), atol=1e-6)
+    assert each.within.total(found[np.newaxis])[0] <= each.within.limit
+    rounded = np.log1p(np.round(np.expm1(row) / step) * step)
+    least = error(each.response.levels, found, each.desired)
+    assert least < error(each.response.levels, rounded, each.desired)
+    compared = 0
+    for k in range(1, row.size):
+        for sign in (1, -1):
+            beside = np.round(number)
+            beside[k] += sign
+            other = np.log1p(np.sort(beside) * step)
+            if beside[k] >= 0 and each.within.total(other[np.newaxis])[0] <= each.within.limit:
+                assert error(each.response.levels, other, each.desired) >= least * (1 - 1e-5)
+                compared += 1
+    assert compared >= 8
+
+
+def test_the_levels_of_a_front_without_noise_are_those_in_the_steps_of_the_times() -> None:
+    """Steps of 10 us are two gaps of 12 bits: sets that were rounded had a fifth of the levels."""
+    request = CaptureRequest(response="linear", dynamic_range=256.0)
+    with small_camera("ideal-12", np.full((12, 16), 100.0)) as camera:
+        desired = desired_response("linear", 256.0)
+        front = Front(camera.controls, desired, 0.02, request=request)
+        point = front.at_time(1.0)
+    assert point.levels == pytest.approx(front.levels_of(point.settings), rel=1e-6)
+    assert point.levels > 15_000
 
 
 def test_more_levels_than_random_changes_find() -> None:

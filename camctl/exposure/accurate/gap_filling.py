@@ -32,12 +32,16 @@ RATED = 12
 NEAR = 1.03
 """Factor on the least error up to which an exchanged set is settled."""
 
-STEPS = 6
+STEPS = 4
 """Steps of Newton's method for each such set."""
 
 COARSE, FEWEST = 3, 4096
 """Step of the exposures that are compared, in mean gaps of ln E between the levels of a set near
 full scale; and how many values are transformed at least, which takes 20 us."""
+
+MOVES, LEAST_GAIN = (1, 2, 3, 4, 6, 8, 12, 16, 24, 48, 96, 192), 1e-6
+"""Steps of the camera's times by which an exposure is moved; and the relative gain in the error
+from which it is."""
 
 SCALINGS, SCALED = 8, 1e-9
 """Steps by which sets are scaled to a time, at most, from a thousand times it; and by what share
@@ -127,16 +131,21 @@ class GapFilling:
             self._scores[n] = BatchScore(ExposureProblem(self.response, self.desired, n, objective))
         return self._scores[n](np.exp(sets))
 
-    def improved(self, row: FloatArray, exchanges: int) -> tuple[FloatArray, float]:
+    def rated(self, row: FloatArray) -> tuple[FloatArray, float]:
+        """Return a set (n,) and its error."""
+        return row, float(self.errors(row[np.newaxis])[0])
+
+    def improved(
+        self, row: FloatArray, exchanges: int, rng: np.random.Generator
+    ) -> tuple[FloatArray, float]:
         """Return a set (n,) with exposures exchanged, possibly of another length, and its error."""
-        rng = np.random.default_rng(0)
         places = _Places(self, row.size)
         error = float(self.errors(row[np.newaxis])[0])
         for _ in range(exchanges):
             trial, found = self._exchanged(row, places, rng)
             if found > NEAR * error:
                 continue
-            trial, found = self.settled(trial)
+            trial, found = self.settled(trial, error)
             if found < error:
                 row, error = trial, found
         return row, error
@@ -168,21 +177,68 @@ class GapFilling:
             trial, error = trials[place], float(errors[place])
         return trial, error
 
-    def settled(self, row: FloatArray) -> tuple[FloatArray, float]:
-        """Return a set (n,) after steps of Newton's method within the time, and its error."""
+    def settled(self, row: FloatArray, least: float = 0.0) -> tuple[FloatArray, float]:
+        """Return a set (n,) after steps of Newton's method within the time, and its error.
+
+        They end where as much for each one that is left would not lower the error to `least`.
+        """
         error, slope, curvature = self._derivatives(row)
         length = 1.0
-        for _ in range(STEPS):
+        for left in range(STEPS - 1, -1, -1):
             step = length * self._step(row, slope, curvature)
             trial = np.clip(row + step, 0.0, self.reach)
             trial = self.within.scaled(np.sort(trial)[np.newaxis])[0]
             found, *derivatives = self._derivatives(trial)
+            gain = max(0.0, error - found)
             if found < error:
                 row, error, (slope, curvature) = trial, found, derivatives
                 length = min(1.0, 1.5 * length)
             else:
                 length /= 3
+            if error - left * gain > least > 0:
+                break
         return row, error
+
+    def stepped(self, row: FloatArray, step: float, most: int) -> FloatArray:
+        """Return a set (n,) in whole steps of the exposure, of little error among its neighbours.
+
+        One exposure after the other is moved by a few steps, for as long as that lowers the error.
+
+        Args:
+            row: natural logarithms of ascending exposures
+            step: distance of two exposures, relative to the shortest
+            most: levels that are rated for this, at most
+        """
+        number = np.round(np.expm1(row) / step)
+        if self.within.total(np.log1p(number * step)[np.newaxis])[0] > self.within.limit:
+            number = np.floor(np.expm1(row) / step + SAME)
+        moves = np.array([*(-each for each in MOVES), *MOVES], dtype=np.float64)
+        left = most // (row.size * self.response.M)
+        error, since, place = self.rated(np.log1p(number * step))[1], 0, 0
+        while since < row.size - 1 and left > 0:
+            place = place % (row.size - 1) + 1
+            trials = np.repeat(number[np.newaxis], moves.size, axis=0)
+            trials[:, place] += moves
+            trials = self._shortened(trials[trials[:, place] >= 0], step)
+            left, since = left - len(trials), since + 1
+            errors = self.errors(np.log1p(trials * step))
+            if len(errors) and errors.min() < error * (1 - LEAST_GAIN):
+                error, number, since = float(errors.min()), trials[errors.argmin()], 0
+        return np.log1p(number * step)
+
+    def _shortened(self, numbers: FloatArray, step: float) -> FloatArray:
+        """Return ascending sets in whole steps (B, n), those that fit within time and reach.
+
+        What a set takes too long is taken from its longest exposure.
+        """
+        numbers = np.sort(numbers, axis=1)
+        within, costs = self.within, self.within.costs
+        over = within.total(np.log1p(numbers * step)) - within.limit
+        each = step * within.unit * (costs.factor - costs.waiting)
+        numbers[:, -1] -= np.ceil(np.maximum(over, 0.0) / each - SAME)
+        sets = np.log1p(np.maximum(numbers, 0.0) * step)
+        fits = (numbers[:, -1] >= numbers[:, -2]) & (sets[:, -1] <= self.reach)
+        return numbers[fits & (within.total(sets) <= within.limit)]
 
     def _step(self, row: FloatArray, slope: FloatArray, curvature: FloatArray) -> FloatArray:
         """Return Newton's step; the shortest exposure stays, and so does a time at its limit."""

@@ -21,10 +21,10 @@ from camctl.exposure.accurate.design import DesignSearch
 from camctl.exposure.accurate.estimate import FEW_LEVELS
 from camctl.exposure.accurate.frame_sets import Design
 from camctl.exposure.accurate.judge import JUDGED_FRAMES, Judge
-from camctl.exposure.accurate.least_quantisation import COUNTS, least_quantisation
+from camctl.exposure.accurate.least_quantisation import least_quantisation
 from camctl.exposure.accurate.listed import ListedSets
 from camctl.exposure.accurate.tuning import CLOSE, CORRECTIONS, MIDDLE
-from camctl.exposure.exposure_choices import AccuracyProblem, Rated, bases
+from camctl.exposure.exposure_choices import AccuracyProblem, Rated, Shots, bases
 from camctl.exposure.noise import DITHERS
 from camctl.exposure.random_sets import interleave_step
 from camctl.exposure.settings_grid import SAME
@@ -172,14 +172,12 @@ class AccurateSets:
         fewest, limit = self.counts[0], limit * (1 + SAME)
         return [search for search in self.searches if search.least_time(fewest) <= limit]
 
-    def within(
-        self, limit: float, *, polished: bool = True, counts: Sequence[int] = COUNTS
-    ) -> Rated:
+    def within(self, limit: float, *, polished: bool = True, start: Shots = ()) -> Rated:
         """Return the most accurate set that takes `limit` at most (>= the least time).
 
         With `polished` sets of few exposures, whose levels interleave in ways that the estimate
-        does not see, are improved by exact ratings of their neighbours.  `counts` are numbers of
-        exposures that are tried where noise does not dither the quantiser.
+        does not see, are improved by exact ratings of their neighbours.  Where noise does not
+        dither the quantiser, the search starts from `start`, too, a set of a shorter time.
         """
         listed = self._listed.most_accurate(limit) if self._listed.numbers else None
         found = [] if listed is None else [listed]
@@ -203,9 +201,12 @@ class AccurateSets:
                 found.append(self._polished(search, design, limit))
         found += [rated for rated, _, _ in judged]
         if not self.dithered:
+            if self.problem.noise.is_none and not self.searches[0].is_list:
+                # Of more exposures, it is one of the starts below, and not in steps of the times.
+                found = [rated for rated in found if len(rated.shots) == 1]
             for search in dict.fromkeys(search for _, search in near if not search.is_list):
                 design = next(design for design, each in near if each is search)
-                sets = least_quantisation(search, design, limit, thorough=polished, counts=counts)
+                sets = least_quantisation(search, design, limit, thorough=polished, start=start)
                 found += [self.judge(each) for each in sets]
         return max(found, key=lambda each: (each.levels, -each.time))
 
@@ -218,9 +219,8 @@ class AccurateSets:
         if not self.dithered or self._listed.numbers:
             rated: list[Rated] = []
             for limit in limits:
-                last = len(rated[-1].shots) if rated else 1
-                counts = tuple(last + more for more in (0, 1, 3))
-                rated.append(self.within(limit, polished=False, counts=counts))
+                start = rated[-1].shots if rated else ()
+                rated.append(self.within(limit, polished=False, start=start))
             return rated
         both = [self._best_estimated(limit) for limit in limits]
         few = [place for place, (design, _) in enumerate(both) if design.n <= FEW]

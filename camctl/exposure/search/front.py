@@ -44,7 +44,7 @@ from camctl.model.effective import EffectiveCamera
 from camctl.model.noise import FrameNoise
 from camctl.model.response.desired import DesiredResponse
 
-VERSION = 13
+VERSION = 14
 """Part of the key of a kept point; it changes where the search finds other settings."""
 
 POINTS = 12
@@ -60,6 +60,8 @@ _FLOOR = SMOOTH_LEVELS, DEFAULT_COUNT
 _MORE_LEVELS = (1.0, 1.002, 1.006, 1.02)
 #: Relative change of exposures, by rounding, that changes the effective levels by at most 0.1 %.
 SAME_LEVELS = 2e-3
+#: The same where levels that interleave decide: more than float64 rounds.
+_ROUNDED = 1e-9
 #: Share of the levels that rounding down to the camera's steps may cost.
 _LOST = 1e-3
 #: Attempts to fit the camera's own steps into a time budget.
@@ -458,13 +460,13 @@ class Front:
         levels = rated.levels
         if is_exact:
             levels = self.levels_of(settings)
-        elif judges_many and len(settings) > JUDGED_FRAMES:
+        elif (judges_many and len(settings) > JUDGED_FRAMES) or (
+            changed > _ROUNDED and not self._sets.dithered
+        ):
             levels = self._sets.judge(self._shots(settings)).levels
         elif changed > SAME_LEVELS:
-            sets, shots = self._sets, self._shots(settings)
-            levels *= sets.judge.estimated(shots) / sets.judge.estimated(rated.shots)
-            if not sets.dithered:
-                levels = sets.judge(shots).levels
+            judge = self._sets.judge
+            levels *= judge.estimated(self._shots(settings)) / judge.estimated(rated.shots)
         return FrontPoint(tuple(settings), ratios, self.time_of(settings), levels)
 
     def levels_of(self, settings: Sequence[ExposureSetting]) -> float:

@@ -11,7 +11,7 @@ from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.search.settings import BASE_SLACK_STOPS, at_most, given_base
 from camctl.exposure.search.wall_time import time_costs
-from camctl.interface.controls import Choices, Control, ExposureControls, ExposureSetting
+from camctl.interface.controls import Choices, Control, ExposureControls, ExposureSetting, Steps
 from camctl.model.noise import NoiseModel
 from camctl.model.response.desired import DesiredResponse
 
@@ -53,6 +53,7 @@ def timed_problem(
         gains,
         shortest=min(1.0, time.minimum / base_s),
         longest=max(1.0, time.maximum / base_s),
+        step=time.step / base_s if isinstance(time, Steps) else 0.0,
         base=(base_s * gains[0], base_s * gains[0]),
         unit_s=unit_s,
         costs=costs,
