@@ -30,10 +30,12 @@ _BLOCK = 1 << 16
 #: of 2 MB.
 _ESTIMATED = 1 << 14
 
-#: Combinations that are kept: 2^18, 4 MB.  A number is spread over their places by its product with
-#: an odd one without a pattern (2^64 over the golden ratio), and is there or in the place beside
-#: it.  Of 100,000 combinations 7 % have no place of their own (17 %, with one place for each).
-_PLACES_BITS = 18
+#: Combinations that are kept: 2^19, 8 MB.  Of five frames of 24 megapixels a fifth fewer are new
+#: than with 2^18, and with 2^20 3 % fewer still.  A number is spread over their places by its
+#: product with an odd one without a pattern (2^64 over the golden ratio), and is there or in the
+#: place beside it.  Of 200,000 combinations 7 % have no place of their own (17 %, with one place
+#: for each).
+_PLACES_BITS = 19
 _FACTOR = np.uint64(0x9E3779B97F4A7C15)
 _SHIFT = np.uint64(64 - _PLACES_BITS)
 

@@ -57,7 +57,7 @@ def test_combinations_that_are_all_new_are_not_kept_for_ever() -> None:
     estimate = _Estimate()
     memory = LightMemory(estimate)
     rng = np.random.default_rng(0)
-    for _ in range(6):
+    for _ in range(10):
         values = [rng.integers(0, 1 << 16, 60_000).astype(np.uint16) for _ in range(4)]
         total = np.asarray(np.sum(values, axis=0, dtype=np.uint32))
         for found, expected in zip(
