@@ -37,8 +37,8 @@ QUICK = ((3, 2), (1, 5))
 """How many of the best starts are improved, and by how many exchanges of exposures, in turn."""
 
 THOROUGH = ((16, 3), (8, 6), (4, 12), (2, 24), (1, 40))
-"""The same where the search is thorough: the best of about ten such plans over 20 cases.  With other
-random numbers the levels of single cases differ by up to 10 %."""
+"""The same where the search is thorough: the best of about ten such plans over 20 cases.  With
+other random numbers the levels of single cases differ by up to 10 %."""
 
 MOST_EXCHANGED = 40_000
 """Levels of the exposures that are exchanged, at most, in a set for all levels of the camera where
