@@ -22,6 +22,7 @@ from concurrent.futures import (
 from contextlib import AbstractContextManager, contextmanager, suppress
 from importlib import import_module
 from multiprocessing import resource_tracker
+from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any, TypeVar
 
 from camctl.errors import ResourceError, UsageError
@@ -123,32 +124,47 @@ def processes(count: int) -> Iterator[Executor]:
     pool.shutdown()
 
 
-class _Pool(ProcessPoolExecutor):
-    """Local processes that do not receive what a terminal sends to all: this process handles it.
+class _Process(SpawnProcess):
+    """A local process that receives no signals to all; it ends without one that can be blocked."""
 
-    Control-C and the closing of the terminal are blocked while processes start, which inherit
-    that; an initializer of theirs would run too late, after seconds of imports.
+    def terminate(self) -> None:
+        self.kill()
+
+
+class _Context(SpawnContext):
+    Process = _Process
+
+
+class _Pool(ProcessPoolExecutor):
+    """Local processes that do not receive what is sent to all: this process handles it.
+
+    Control-C, the closing of the terminal and the end of a service are blocked while processes
+    start, which inherit that; an initializer of theirs would run too late, after seconds of
+    imports.  Processes that end at once with this one's handling of the signal would be reported
+    as lost, while their items are cancelled.
     """
 
     def __init__(self, count: int) -> None:
-        with _terminal_signals_blocked():
+        with _signals_to_all_blocked():
             resource_tracker.ensure_running()  # a process, too; afterwards Control-C is not blocked
-        super().__init__(count, mp_context=multiprocessing.get_context("spawn"))
+        super().__init__(count, mp_context=_Context())
 
     def submit(
         self, function: Callable[..., ResultT], /, *arguments: Any, **named: Any
     ) -> Future[ResultT]:
         """Submit a call; a process may be started for it."""
-        with _terminal_signals_blocked():
+        with _signals_to_all_blocked():
             return super().submit(function, *arguments, **named)
 
 
 @contextmanager
-def _terminal_signals_blocked() -> Iterator[None]:
+def _signals_to_all_blocked() -> Iterator[None]:
     if sys.platform == "win32":
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    before = signal.pthread_sigmask(
+        signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP, signal.SIGTERM}
+    )
     try:
         yield
     finally:

@@ -10,7 +10,8 @@ Within `run_interruptible` a signal raises `Interrupt` in the main thread, so th
 A signal that finds a function decorated with `entering` at its own code, such as ``__enter__`` of a
 camera that is open already, waits 0.1 s: raised there, `Interrupt` would come before the ``with``
 statement is bound to close the camera.  So does a signal that finds contextlib at its own code: the
-generator of a context manager would stay at its ``yield``, with what it holds, such as a lock.
+generator of a context manager would stay at its ``yield``, with what it holds, such as a lock.  And
+one that finds a wait for futures while it takes their locks: a pool could not end any more.
 
 All of this follows from the frames and the exception that the signal finds, and not from a counter:
 there is no moment in between at which a signal would get through.
@@ -130,8 +131,13 @@ def _is_handled(error: BaseException | None) -> bool:
 #: Time after which a signal is sent again, s.
 _REPEAT_S = 0.1
 
-#: Code of the functions decorated with `entering`.
-_entering: set[CodeType] = set()
+#: Code of the functions decorated with `entering`, and of those that take and release locks.
+_entering: set[CodeType] = {
+    threading.Condition.__enter__.__code__,
+    threading.Condition.__exit__.__code__,
+}
+#: Modules whose code takes locks, or opens contexts, that what follows an exception releases.
+_BETWEEN = {"contextlib", "concurrent.futures._base"}
 _last: Interrupt | None = None
 #: Set when the handlers are removed; then no signal is sent again.
 _ended = threading.Event()
@@ -158,7 +164,7 @@ def _handle(number: int, frame: FrameType | None) -> None:
 
 def _is_between(frame: FrameType) -> bool:
     """Return whether `frame` is at the beginning or end of a ``with`` block, outside of it."""
-    return frame.f_code in _entering or frame.f_globals is vars(contextlib)
+    return frame.f_code in _entering or frame.f_globals["__name__"] in _BETWEEN
 
 
 def _raise_waiting(frame: FrameType | None) -> None:
@@ -188,7 +194,15 @@ def _send_again(number: int, ended: threading.Event) -> None:
     while not ended.wait(_REPEAT_S):
         with _sending:
             if not ended.is_set():
-                signal.raise_signal(number)
+                _send_to_main_thread(number)
+
+
+def _send_to_main_thread(number: int) -> None:
+    main = threading.main_thread().ident
+    if sys.platform == "win32" or main is None:
+        signal.raise_signal(number)
+    else:  # to another thread it would not end a call of the system in which the main one waits
+        signal.pthread_kill(main, number)
 
 
 def _region(frame: FrameType | None) -> CodeType | None:

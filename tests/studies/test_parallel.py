@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import os
+import signal
 import subprocess
 import sys
 import warnings
@@ -11,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import isnan, nan, sqrt
 from pathlib import Path
+from time import sleep
 
 import pytest
 
@@ -109,6 +112,25 @@ def test_a_study_continues_after_its_cluster_was_killed() -> None:
     assert found["captures"] == 24
     assert min(found["compared"]) >= 5  # of those before the loss, and of those after it
     assert found["same"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP, signal.SIGTERM])
+def test_what_is_sent_to_all_processes_is_left_to_this_one(number: signal.Signals) -> None:
+    with parallel.processes(1) as pool:
+        child = pool.submit(os.getpid).result()
+        os.kill(child, number)
+        assert pool.submit(os.getpid).result() == child
+
+
+def test_processes_end_with_the_block_that_fails() -> None:
+    def work() -> None:
+        with parallel.processes(1) as pool:
+            pool.submit(sleep, 1000)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        work()
+    assert not multiprocessing.active_children()
 
 
 def test_an_error_of_an_item_ends_the_work() -> None:
