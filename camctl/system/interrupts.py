@@ -164,7 +164,7 @@ def _handle(number: int, frame: FrameType | None) -> None:
 
 def _is_between(frame: FrameType) -> bool:
     """Return whether `frame` is at the beginning or end of a ``with`` block, outside of it."""
-    return frame.f_code in _entering or frame.f_globals["__name__"] in _BETWEEN
+    return frame.f_code in _entering or frame.f_globals.get("__name__") in _BETWEEN
 
 
 def _raise_waiting(frame: FrameType | None) -> None:
