@@ -125,7 +125,7 @@ def processes(count: int) -> Iterator[Executor]:
 
 
 class _Process(SpawnProcess):
-    """A local process that receives no signals to all; it ends without one that can be blocked."""
+    """A local process in which SIGTERM is blocked, see `_Pool`: `terminate` kills it."""
 
     def terminate(self) -> None:
         self.kill()

@@ -131,16 +131,16 @@ class GapFilling:
             self._scores[n] = BatchScore(ExposureProblem(self.response, self.desired, n, objective))
         return self._scores[n](np.exp(sets))
 
-    def rated(self, row: FloatArray) -> tuple[FloatArray, float]:
-        """Return a set (n,) and its error."""
-        return row, float(self.errors(row[np.newaxis])[0])
+    def error(self, row: FloatArray) -> float:
+        """Return the sum of g^3 of one set (n,)."""
+        return float(self.errors(row[np.newaxis])[0])
 
     def improved(
         self, row: FloatArray, exchanges: int, rng: np.random.Generator
     ) -> tuple[FloatArray, float]:
         """Return a set (n,) with exposures exchanged, possibly of another length, and its error."""
         places = _Places(self, row.size)
-        error = float(self.errors(row[np.newaxis])[0])
+        error = self.error(row)
         for _ in range(exchanges):
             trial, found = self._exchanged(row, places, rng)
             if found > NEAR * error:
@@ -166,7 +166,7 @@ class GapFilling:
         inserted = min(max(out.size + more, max(2, fewest) - left), most - left)
         trial, error = np.delete(row, out), math.inf
         if not inserted:
-            return trial, float(self.errors(trial[np.newaxis])[0])
+            return trial, self.error(trial)
         for missing in range(inserted - 1, -1, -1):
             trials = places.filled(trial, missing)
             if not len(trials):
@@ -214,7 +214,7 @@ class GapFilling:
             number = np.floor(np.expm1(row) / step + SAME)
         moves = np.array([*(-each for each in MOVES), *MOVES], dtype=np.float64)
         left = most // (row.size * self.response.M)
-        error, since, place = self.rated(np.log1p(number * step))[1], 0, 0
+        error, since, place = self.error(np.log1p(number * step)), 0, 0
         while since < row.size - 1 and left > 0:
             place = place % (row.size - 1) + 1
             trials = np.repeat(number[np.newaxis], moves.size, axis=0)

@@ -158,8 +158,7 @@ def _start_from(search: DesignSearch, start: Shots, limit: float) -> _Found:
     exposures = np.log([shot.exposure for shot in start])
     row = _with_distances(exposures, interleave_step(filling.response) / finer, finer)
     (row,) = filling.within.scaled(np.minimum(row, filling.reach)[np.newaxis])
-    error = float(filling.errors(row[np.newaxis])[0])
-    return _Found(row, error / finer**2, finer, filling, np.random.default_rng(0))
+    return _Found(row, filling.error(row) / finer**2, finer, filling, np.random.default_rng(0))
 
 
 def _with_distances(row: FloatArray, step: float, factor: float) -> FloatArray:
@@ -180,10 +179,11 @@ def _shots(search: DesignSearch, found: _Found, *, settles: bool) -> Shots:
     if found.finer > 1:
         filling = replace(found.filling, response=search.problem.response)
         reduced = _with_distances(row, interleave_step(found.filling.response), 1 / found.finer)
-        rows = [
-            filling.settled(each) if settles else filling.rated(each) for each in (row, reduced)
+        rated = [
+            filling.settled(each) if settles else (each, filling.error(each))
+            for each in (row, reduced)
         ]
-        row, _ = min(rows, key=lambda each: each[1])
+        row, _ = min(rated, key=lambda each: each[1])
         exchanges = MOST_EXCHANGED // (row.size * search.problem.response.M) if settles else 0
         if exchanges:
             row, _ = filling.improved(row, exchanges, found.rng)

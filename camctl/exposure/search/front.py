@@ -39,6 +39,7 @@ from camctl.exposure.goal import DEFAULT_COUNT, CaptureRequest
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.exposure.search.timed_problem import timed_problem, without_costs
 from camctl.exposure.search.wall_time import predicted_wall_s
+from camctl.exposure.settings_grid import SAME
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.effective import EffectiveCamera
 from camctl.model.noise import FrameNoise
@@ -60,8 +61,6 @@ _FLOOR = SMOOTH_LEVELS, DEFAULT_COUNT
 _MORE_LEVELS = (1.0, 1.002, 1.006, 1.02)
 #: Relative change of exposures, by rounding, that changes the effective levels by at most 0.1 %.
 SAME_LEVELS = 2e-3
-#: The same where levels that interleave decide: more than float64 rounds.
-_ROUNDED = 1e-9
 #: Share of the levels that rounding down to the camera's steps may cost.
 _LOST = 1e-3
 #: Attempts to fit the camera's own steps into a time budget.
@@ -461,7 +460,7 @@ class Front:
         if is_exact:
             levels = self.levels_of(settings)
         elif (judges_many and len(settings) > JUDGED_FRAMES) or (
-            changed > _ROUNDED and not self._sets.dithered
+            changed > SAME and not self._sets.dithered  # levels that interleave decide
         ):
             levels = self._sets.judge(self._shots(settings)).levels
         elif changed > SAME_LEVELS:
