@@ -7,7 +7,7 @@ import pytest
 from small_cameras import small_camera
 
 from camctl.exposure.accurate import gap_filling
-from camctl.exposure.accurate.gap_filling import GapFilling, TimeLimit, _Places
+from camctl.exposure.accurate.gap_filling import GapFilling, TimeLimit, _Gaps, _Places
 from camctl.exposure.exposure_choices import TimeCosts
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.search.front import Front
@@ -56,7 +56,7 @@ def test_what_an_exposure_lowers_is_what_it_does_where_no_gap_is_divided_twice(
     each = filling(response, bits=4)
     row = np.array([0.0, 0.3, 2.0, 4.5])
     places = _Places(each, row.size)
-    lowered, levels = places._lowered(row), each.response.levels
+    lowered, levels = places._lowered(_Gaps(each, row)), each.response.levels
     before = error(levels, row, each.desired)
     edges = np.sort((levels * np.exp(-row)[:, np.newaxis]).ravel())
     compared = 0

@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from camctl.exposure.candidates import BatchScore
+from camctl.exposure.candidates import CACHE_ELEMENTS, BatchScore
 from camctl.exposure.exposure_choices import TimeCosts
 from camctl.exposure.objective import ExposureProblem, Objective
 from camctl.exposure.settings_grid import SAME
@@ -123,6 +123,17 @@ class GapFilling:
     def _log_levels(self) -> FloatArray:
         return np.log(np.maximum(self.response.levels, 1e-300))
 
+    @cached_property
+    def _is_log(self) -> bool:
+        return isinstance(self.desired, LogDesired)
+
+    @cached_property
+    def darkest(self) -> float:
+        """ln(E) of the darkest light of the range; where it has no end, of what a set can show."""
+        if self.desired.e_min:
+            return math.log(self.desired.e_min)
+        return float(self._log_levels[self.response.levels > 0][0]) - self.reach
+
     def errors(self, sets: FloatArray) -> FloatArray:
         """Return the sums of g^3 of sets (B, n), (B,)."""
         n = sets.shape[1]
@@ -133,7 +144,24 @@ class GapFilling:
 
     def error(self, row: FloatArray) -> float:
         """Return the sum of g^3 of one set (n,)."""
-        return float(self.errors(row[np.newaxis])[0])
+        return _Gaps(self, row).error
+
+    def u(self, log_light: FloatArray) -> FloatArray:
+        """Return u at ln(E), clamped to 0..1."""
+        if self._is_log:
+            u = log_light * (-1 / self.darkest)
+            u += 1.0
+            np.maximum(u, 0.0, out=u)
+            return np.asarray(np.minimum(u, 1.0, out=u))
+        return self.desired.u(np.exp(np.minimum(log_light, 0.0)))
+
+    def log_light(self, sets: FloatArray) -> FloatArray:
+        """Return ln(E) at the levels of sets (..., n), ascending, (..., n M)."""
+        light = self._log_levels - sets[..., np.newaxis]
+        light = light.reshape(*sets.shape[:-1], -1)
+        if sets.shape[-1] > 1:
+            light.sort(axis=-1, kind="stable")  # merges sorted runs
+        return light
 
     def improved(
         self, row: FloatArray, exchanges: int, rng: np.random.Generator
@@ -168,10 +196,9 @@ class GapFilling:
         if not inserted:
             return trial, self.error(trial)
         for missing in range(inserted - 1, -1, -1):
-            trials = places.filled(trial, missing)
+            trials, errors = places.filled(trial, missing)
             if not len(trials):
                 return trial, math.inf
-            errors = self.errors(trials)
             other = int(rng.integers(len(trials)))
             place = other if missing and rng.random() < 0.5 else int(np.argmin(errors))
             trial, error = trials[place], float(errors[place])
@@ -209,7 +236,8 @@ class GapFilling:
             step: distance of two exposures, relative to the shortest
             most: levels that are rated for this, at most
         """
-        number = np.round(np.expm1(row) / step)
+        longest = math.floor(math.expm1(self.reach) / step * (1 + SAME))
+        number = np.minimum(np.round(np.expm1(row) / step), longest)
         if self.within.total(np.log1p(number * step)[np.newaxis])[0] > self.within.limit:
             number = np.floor(np.expm1(row) / step + SAME)
         moves = np.array([*(-each for each in MOVES), *MOVES], dtype=np.float64)
@@ -217,28 +245,35 @@ class GapFilling:
         error, since, place = self.error(np.log1p(number * step)), 0, 0
         while since < row.size - 1 and left > 0:
             place = place % (row.size - 1) + 1
-            trials = np.repeat(number[np.newaxis], moves.size, axis=0)
-            trials[:, place] += moves
-            trials = self._shortened(trials[trials[:, place] >= 0], step)
+            trials, errors = self._moved(number, place, moves, step)
             left, since = left - len(trials), since + 1
-            errors = self.errors(np.log1p(trials * step))
             if len(errors) and errors.min() < error * (1 - LEAST_GAIN):
                 error, number, since = float(errors.min()), trials[errors.argmin()], 0
         return np.log1p(number * step)
 
-    def _shortened(self, numbers: FloatArray, step: float) -> FloatArray:
-        """Return ascending sets in whole steps (B, n), those that fit within time and reach.
+    def _moved(
+        self, number: FloatArray, place: int, moves: FloatArray, step: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return sets in whole steps with one exposure moved, those within time and reach (B, n).
 
-        What a set takes too long is taken from its longest exposure.
+        And their errors, (B,).  What a set takes too long is taken from its longest exposure.
         """
-        numbers = np.sort(numbers, axis=1)
+        others, moved = np.delete(number, place), number[place] + moves
+        moved = moved[moved >= 0]
+        pairs = np.sort(np.column_stack([moved, np.full(moved.size, others[-1])]), axis=1)
+        rest = np.broadcast_to(others[:-1], (moved.size, others.size - 1))
         within, costs = self.within, self.within.costs
-        over = within.total(np.log1p(numbers * step)) - within.limit
+        over = within.total(np.log1p(np.column_stack([rest, pairs]) * step)) - within.limit
         each = step * within.unit * (costs.factor - costs.waiting)
-        numbers[:, -1] -= np.ceil(np.maximum(over, 0.0) / each - SAME)
-        sets = np.log1p(np.maximum(numbers, 0.0) * step)
-        fits = (numbers[:, -1] >= numbers[:, -2]) & (sets[:, -1] <= self.reach)
-        return numbers[fits & (within.total(sets) <= within.limit)]
+        pairs[:, 1] -= np.ceil(np.maximum(over, 0.0) / each - SAME)
+        sets = np.log1p(np.maximum(np.column_stack([rest, pairs]), 0.0) * step)
+        fits = (pairs[:, 1] >= np.maximum(pairs[:, 0], others[-2:-1].max(initial=0.0))) & (
+            sets[:, -1] <= self.reach
+        )
+        fits &= within.total(sets) <= within.limit
+        changed = np.log1p(pairs[fits] * step)
+        errors = _Gaps(self, np.log1p(others[:-1] * step)).errors_with(changed)
+        return np.sort(np.column_stack([rest, pairs])[fits], axis=1), errors
 
     def _step(self, row: FloatArray, slope: FloatArray, curvature: FloatArray) -> FloatArray:
         """Return Newton's step; the shortest exposure stays, and so does a time at its limit."""
@@ -261,65 +296,64 @@ class GapFilling:
 
         A change of u's slope within a gap is left out of the latter.
         """
-        n, desired = row.size, self.desired
-        if isinstance(desired, LogDesired):
-            span = math.log(desired.dynamic_range)
-            u = self._log_levels - row[:, np.newaxis]
-            u *= 1 / span
-            u += 1.0
-            np.clip(u, 0.0, 1.0, out=u)
-        else:
-            light = self.response.levels * np.exp(-row)[:, np.newaxis]
-            u = desired.u(np.clip(light, desired.e_min, 1.0))
-        bits = u.view(np.int64)
+        n = row.size
+        light = self._log_levels - row[:, np.newaxis]
+        bits = light.view(np.int64)
         bits &= -1 << _FRAME_BITS
         bits |= np.arange(n)[:, np.newaxis]
-        u = np.sort(u.ravel())
-        frame = u.view(np.int64) & ((1 << _FRAME_BITS) - 1)
-        inside = (u > SAME) & (u < 1 - SAME)
-        if isinstance(desired, LogDesired):
-            moved = inside * (1 / span)
+        light = light.ravel()
+        light.sort(kind="stable")  # merges sorted runs
+        first, last = light.searchsorted((self.darkest, 0.0))
+        light = light[first:last]
+        frame = light.view(np.int64) & ((1 << _FRAME_BITS) - 1)
+        u = self.u(light)
+        if self._is_log:
+            moved = np.full(u.size, -1 / self.darkest)
         else:
-            light = desired.inverse(u)
-            moved = np.where(inside, desired.slope(light) * light, 0.0)
-        gaps = np.diff(u, prepend=0.0, append=1.0)
-        slope = 3 * moved * (gaps[1:] ** 2 - gaps[:-1] ** 2)
-        own = 6 * moved**2 * (gaps[1:] + gaps[:-1])
+            light = np.exp(light)
+            moved = self.desired.slope(light) * light
+        edges = np.concatenate([[0.0], u, [1.0]])
+        gaps = edges[1:] - edges[:-1]
+        squares = gaps * gaps
+        slope = 3 * moved * (squares[1:] - squares[:-1])
+        own = 6 * moved * moved * (gaps[1:] + gaps[:-1])
         shared = -6 * gaps[1:-1] * moved[1:] * moved[:-1]
         pairs = np.bincount(frame[1:] * n + frame[:-1], weights=shared, minlength=n * n)
         curvature = pairs.reshape(n, n)
         curvature = curvature + curvature.T
         curvature[np.diag_indices(n)] += np.bincount(frame, weights=own, minlength=n)
         slopes = np.bincount(frame, weights=slope, minlength=n)
-        return float((gaps**3).sum()), slopes.astype(np.float64), curvature.astype(np.float64)
+        return float(squares @ gaps), slopes.astype(np.float64), curvature.astype(np.float64)
 
 
 class _Places:
     """Where one more exposure fills the gaps of a set best."""
 
     def __init__(self, filling: GapFilling, n: int) -> None:
-        self._filling, desired = filling, filling.desired
+        self._filling = filling
         levels = filling.response.levels
-        span = -math.log(desired.e_min)
+        span = -filling.darkest
         # Near full scale, n exposures have n M levels for each 1 of ln E.
         step = COARSE / (n * filling.response.M)
         self._length = max(FEWEST, even_length(math.ceil((span + filling.reach) / step) + 2))
         self._step = (span + filling.reach) / (self._length - 2)
         self._lowest = -span
-        light = self._lowest + self._step * np.arange(round(span / self._step) + 1)
-        self._u = desired.u(np.exp(np.minimum(light, 0.0))).astype(np.float32)
+        places = np.arange(round(span / self._step) + 1, dtype=np.float64)
+        self._u = filling.u(self._lowest + self._step * places).astype(np.float32)
         at = (np.log(levels[levels > 0]) + span) / self._step
         at = at[at >= 0]
         below = np.floor(at).astype(np.intp)
         comb = np.bincount(below, weights=below + 1 - at, minlength=self._length)
         comb += np.bincount(below + 1, weights=at - below, minlength=self._length)
         self._comb = np.fft.rfft(comb.astype(np.float32))
-        self._exposures = self._step * np.arange(int(filling.reach / self._step) + 1)
+        self._exposures = self._step * np.arange(int(filling.reach / self._step) + 1.0)
         within = filling.within
         self._costs = within.costs.each(np.exp(self._exposures) * within.unit)
 
-    def filled(self, row: FloatArray, missing: int) -> FloatArray:
-        """Return sets (B, n + 1) with one more exposure, B up to `RATED`, those in time alone.
+    def filled(self, row: FloatArray, missing: int) -> tuple[FloatArray, FloatArray]:
+        """Return sets (B, n + 1) with one more exposure, and their errors (B,).
+
+        B is up to `RATED`; they are those within the time alone.
 
         Args:
             row: (n,) set
@@ -327,26 +361,62 @@ class _Places:
         """
         within = self._filling.within
         left = within.limit - float(within.total(row[np.newaxis])[0]) - missing * self._costs[0]
-        lowered = self._lowered(row)[: self._exposures.size]
+        gaps = _Gaps(self._filling, row)
+        lowered = self._lowered(gaps)[: self._exposures.size]
         middle = lowered[1:-1]
         peaks = (middle > lowered[:-2]) & (middle >= lowered[2:]) & (self._costs[1:-1] <= left)
         best = np.flatnonzero(peaks) + 1
         best = best[np.argsort(-lowered[best])[:RATED]]
-        rows = np.broadcast_to(row, (best.size, row.size))
-        sets = np.sort(np.column_stack([rows, self._exposures[best]]), axis=1)
-        return sets[within.total(sets) <= within.limit]
+        more = self._exposures[best][:, np.newaxis]
+        sets = np.column_stack([np.broadcast_to(row, (best.size, row.size)), more])
+        sets.sort(axis=1)
+        fits = within.total(sets) <= within.limit
+        return sets[fits], gaps.errors_with(more[fits])
 
-    def _lowered(self, row: FloatArray) -> FloatArray:
+    def _lowered(self, gaps: _Gaps) -> FloatArray:
         """Return what one more exposure lowers the error by, for each of `_exposures`."""
-        levels, desired = self._filling.response.levels, self._filling.desired
-        light = np.sort((levels * np.exp(-row)[:, np.newaxis]).ravel())
-        light = light[(light > desired.e_min) & (light < 1.0)]
-        first = np.ceil((np.log(light) - self._lowest) / self._step).astype(np.intp)
-        count = np.diff(first, prepend=0, append=self._u.size)
-        u = np.append(0.0, desired.u(light)).astype(np.float32)
-        gap = np.repeat(np.diff(u, append=np.float32(1.0)), count)
-        above = self._u - np.repeat(u, count)
+        first = np.ceil((gaps.log_light - self._lowest) / self._step).astype(np.intp)
+        ends = np.concatenate([[0], first, [self._u.size]])
+        count, u = ends[1:] - ends[:-1], gaps.u.astype(np.float32)
+        gap = (u[1:] - u[:-1]).repeat(count)
+        above = self._u - u[:-1].repeat(count)
         fall = 3 * above * (gap - above) * gap
         # From float32 numpy's rfft takes 1.6 times as long as from float64; its irfft takes half.
         transform = np.fft.rfft(fall.astype(np.float64), self._length).astype(np.complex64)
         return np.asarray(np.fft.irfft(self._comb * transform.conj(), self._length))
+
+
+class _Gaps:
+    """The gaps in u between the levels of a set (n,), and what levels that divide them change.
+
+    Attributes:
+        log_light: ln(E) at the levels within the range, ascending
+        u: brightness at them, and 0 and 1 at the ends
+        error: sum of the g^3
+    """
+
+    def __init__(self, filling: GapFilling, row: FloatArray) -> None:
+        self._filling = filling
+        light = filling.log_light(row)
+        first, last = light.searchsorted((filling.darkest, 0.0))
+        self.log_light = light[first:last]
+        self.u = np.concatenate([[0.0], filling.u(self.log_light), [1.0]])
+        gaps = self.u[1:] - self.u[:-1]
+        self.error = float((gaps * gaps) @ gaps)
+
+    def errors_with(self, more: FloatArray) -> FloatArray:
+        """Return the error with further exposures (B, k), their logarithms, (B,)."""
+        size = max(1, CACHE_ELEMENTS // (more.shape[1] * self._filling.response.M))
+        parts = [self._errors_with(more[k : k + size]) for k in range(0, len(more), size)]
+        return np.concatenate(parts) if parts else np.empty(0)
+
+    def _errors_with(self, more: FloatArray) -> FloatArray:
+        added = self._filling.u(self._filling.log_light(more))
+        gap = self.u.searchsorted(added.ravel(), side="right").reshape(added.shape)
+        np.minimum(gap, self.u.size - 1, out=gap)
+        above, below = self.u[gap], self.u[gap - 1]
+        np.maximum(below[:, 1:], added[:, :-1], out=below[:, 1:])
+        divided = above - below
+        divided *= np.subtract(added, below, out=below)
+        above -= added
+        return np.asarray(self.error - 3 * np.einsum("ij,ij->i", divided, above))
