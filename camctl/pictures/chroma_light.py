@@ -79,7 +79,7 @@ def share_chroma_errors(
     )
     beside, hidden = _beside_saturated(seen, spreads, tables[0].sensor.highest(None))
     for channel, table in enumerate(tables):
-        _replace(
+        lights[channel], deviations[channel] = _replaced(
             table,
             [each[channel] for each in seen],
             spreads[:, channel],
@@ -100,7 +100,7 @@ def _by_block(detail: LostDetail, frame: NDArray[Any]) -> NDArray[np.float32]:
     return cells[: frame.shape[0] // 2, : frame.shape[1] // 2]
 
 
-def _replace(
+def _replaced(
     tables: LightTables,
     values: Sequence[NDArray[Any]],
     errors: NDArray[np.float32],
@@ -108,8 +108,8 @@ def _replace(
     beside: NDArray[np.bool_],
     found: tuple[Floats32, Floats32],
     columns: int,
-) -> None:
-    """Replace the light of one colour and its deviation, (4, cells) each.
+) -> tuple[Floats32, Floats32]:
+    """Return the light of one colour and its deviation, (4, cells) each.
 
     Args:
         tables: of the colour
@@ -120,15 +120,16 @@ def _replace(
         found: light and deviation without these errors
         columns: of cells
     """
-    light, deviation = found
-    small, is_large = _small_errors(tables, errors, light)
+    first = found[0]
+    light, deviation = (each.copy() for each in found)
+    small, is_large = _small_errors(tables, errors, first)
     chosen = beside | is_large
     scatter = np.zeros((2, *light.shape), np.float32)
     common = np.tile(small, (len(light), 1))
     top = tables.sensor.highest(None)
 
     def join(places: NDArray[np.intp], *, by_cell: bool) -> NDArray[np.intp]:
-        """Replace light of cells or samples; return the cells that have no weights for all."""
+        """Find the light of cells or samples; return the cells that have no weights for all."""
         shape = (4, -1) if by_cell else (-1,)
 
         def here(plane: NDArray[Any]) -> NDArray[Any]:
@@ -140,25 +141,26 @@ def _replace(
             tables,
             {at: seen[at] for at in order},
             {at: errors[at].take(cells) for at in order},
-            {at: here(hidden[at]) for at in order},
-            (here(light), here(deviation), here(common)),
+            # Where another colour of a whole cell is saturated, all of the cell is.
+            {} if by_cell else {at: here(hidden[at]) for at in order},
+            (here(first), here(found[1]), small.take(cells)),
             by_cell=by_cell,
         )
-        done = places
-        if by_cell and not is_even.all():
-            done, joined = places[is_even], joined.of(is_even)
+        rows = len(light) if by_cell else 1
         for plane, each in zip((light, deviation, common, *scatter), joined, strict=True):
-            plane.reshape(shape)[..., done] = each
+            # Row by row, in half of the time.
+            for row, own in zip(plane.reshape(rows, -1), each.reshape(rows, -1), strict=True):
+                row[places] = own
         return places[~is_even] if by_cell else places[:0]
 
     mixed = np.zeros_like(chosen)
     for each, is_hidden in zip(values, hidden, strict=True):
         mixed |= is_hidden.any(axis=0) & ~(each > top).all(axis=0)
-    whole = _alike(np.flatnonzero(chosen & ~mixed), light.min(axis=0), _BLOCK // 4)
+    whole = _alike(np.flatnonzero(chosen & ~mixed), first.min(axis=0), _BLOCK // 4)
     rest = [join(each, by_cell=True) for each in whole]
     cells = np.concatenate([*rest, np.flatnonzero(chosen & mixed)])
     samples = (cells + chosen.size * np.arange(4)[:, np.newaxis]).ravel()
-    for some in _alike(samples, light.ravel(), _BLOCK):
+    for some in _alike(samples, first.ravel(), _BLOCK):
         join(some, by_cell=False)
     shape = chosen.size // columns, columns
     measured, expected = (
@@ -168,6 +170,7 @@ def _replace(
     deviation *= np.where(chosen, ratio, np.float32(1))
     # Four times as fast as `np.hypot`; none of them is so small that its square vanishes.
     np.sqrt(np.square(deviation) + np.square(common), out=deviation)
+    return light, deviation
 
 
 def _alike(places: NDArray[np.intp], light: Floats32, count: int) -> Iterator[NDArray[np.intp]]:
@@ -175,7 +178,9 @@ def _alike(places: NDArray[np.intp], light: Floats32, count: int) -> Iterator[ND
 
     More frames are saturated in all of them then, or show nothing, and are not looked at.
     """
-    places = places[np.argsort(light[places])]
+    # The upper half of positive floats is in their order, and sorted ten times as fast: by radix.
+    keys = (light[places].view(np.uint32) >> 16).astype(np.uint16)
+    places = places[np.argsort(keys, kind="stable")]
     for start in range(0, places.size, count):
         yield places[start : start + count]
 
@@ -251,9 +256,13 @@ class _Joined(NamedTuple):
     scatter: Floats32
     expected: Floats32
 
-    def of(self, cells: NDArray[np.bool_]) -> _Joined:
-        """Return those of some cells, (C,)."""
-        return _Joined(*(each[:, cells] for each in self))
+
+def _above(values: NDArray[Any], limit: Floats32) -> NDArray[np.bool_]:
+    """Return which whole numbers, (..., S), are above a limit below the largest one, (S,).
+
+    Numbers of a byte are compared in a quarter of the time that those take which are converted.
+    """
+    return np.asarray(values >= (np.floor(np.maximum(limit, -1)) + 1).astype(values.dtype))
 
 
 def _seeing(exposures: NDArray[Any], values: Sequence[NDArray[Any]], top: int) -> list[int]:
@@ -279,24 +288,28 @@ def _joined(
         tables: of their colour
         values: of some frames, from the shortest to the longest, of cells (4, C) or samples (S,)
         errors: standard deviations of the errors that frames have in common, levels, (C,) or (S,)
-        hidden: whether another colour of the pixel is saturated
+        hidden: whether another colour of the pixel is saturated; none: no more than the own one
         first: light and deviation without these errors, and what they add to it
         by_cell: with the noise of a cell's mean light, whose errors choose weights less
     """
-    reach, top = np.float32(CLIPPING_SIGMAS), np.float32(tables.sensor.highest(None))
-    saturated = {at: each > top - reach * errors[at] for at, each in values.items()}
+    reach, top = np.float32(CLIPPING_SIGMAS), tables.sensor.highest(None)
+    saturated = {at: _above(each, top - reach * errors[at]) for at, each in values.items()}
     light = first[0]
     samples = {at: looked_up(tables.irradiance[at], each) for at, each in values.items()}
-    unseen = {at: each | hidden[at] for at, each in saturated.items()}
+    unseen = {at: each | hidden[at] for at, each in saturated.items()} if hidden else saturated
     apart = _contradiction(tables, samples, values, errors, unseen)
-    is_dim = {at: bool(each.any()) for at, each in saturated.items()}
-    is_unseen = {at: bool(each.any()) for at, each in unseen.items()}
+    is_dim, is_unseen = ({at: bool(x.any()) for at, x in e.items()} for e in (saturated, unseen))
     is_even = np.ones(light.shape[-1], np.bool_)
-    for _ in range(1 if by_cell else _ROUNDS):
+    rounds = 1 if by_cell else _ROUNDS
+    for number in range(rounds):
         bins = tables.bins(light.mean(axis=0) if by_cell else light)
-        above, weights, own, shared, least, squares, count = np.zeros((7, *light.shape), np.float32)
+        lowest, highest = int(bins.min()), int(bins.max()) + 1
+        above, weights, own, shared, squares, count = np.zeros((6, *light.shape), np.float32)
+        least: Any = None  # nothing yet
         for at, sample in samples.items():
-            counts = ~((values[at] > top) | tables.clipped[at].take(bins))
+            counts = values[at] <= top
+            if tables.clipped[at, lowest:highest].any():
+                counts &= ~tables.clipped[at].take(bins)
             if not (is_unseen[at] or counts.any()):
                 continue
             saturates = np.float32(tables.sensor.full / tables.exposures[at])
@@ -313,26 +326,27 @@ def _joined(
                 spread = np.sqrt(np.square(known) + both)
                 counts &= ~((sample < mean - reach * spread) & bright)
             # What may be saturated says how much light there is at least, and so do longer ones.
-            reached = reach * np.sqrt(both)
-            counts &= ~(sample + reached < least)
-            if is_unseen[at]:
-                least = np.maximum(least, (sample - reached) * unseen[at])
+            if least is not None or is_unseen[at]:
+                reached = reach * np.sqrt(both)
+                least = np.float32(0) if least is None else least
+                counts &= ~(sample + reached < least)
+                if is_unseen[at]:
+                    least = np.maximum(least, (sample - reached) * unseen[at])
             if by_cell:
                 is_even &= (counts == counts[0]).all(axis=0)
             weight = counts / both
             if is_dim[at]:
-                some = np.nonzero(counts & saturated[at])
                 below = tables.sensor.white - values[at]
-                parts = (mean, known, spread, sample, error, below, errors[at])
-                shown = [np.broadcast_to(each, sample.shape)[some] for each in parts]
-                weight[some] *= _chance_of_seeing(shown, saturates)
+                shown = (mean, known, spread, sample, error, below, errors[at])
+                _lessen(weight, counts & saturated[at], shown, saturates)
             weighted = weight * sample
             above += weighted
-            squares += weighted * sample
             own += np.square(weight) * noise
             shared += weight * error
             weights += weight
-            count += weight * both
+            if number == rounds - 1:
+                squares += weighted * sample
+                count += weight * both
         found = weights > 0
         total = weights + ~found
         light = np.asarray(above / total + ~found * first[0], np.float32)
@@ -347,6 +361,20 @@ def _joined(
     deviation[np.isnan(first[1])] = np.nan
     is_even &= (found & (apart == 0)).all(axis=0)
     return _Joined(light, deviation, common, scatter, expected), is_even
+
+
+def _lessen(
+    weight: Floats32, chosen: NDArray[np.bool_], shown: Sequence[NDArray[Any]], saturates: Any
+) -> None:
+    """Multiply weights of chosen samples by the chance that they are seen; see there for the rest.
+
+    What is `shown` may be that of cells, (C,), for samples (4, C).
+    """
+    some = np.flatnonzero(chosen)
+    if some.size:
+        cells = some % weight.shape[-1]
+        here = [each.ravel().take(some if each.size == weight.size else cells) for each in shown]
+        weight.ravel()[some] *= _chance_of_seeing(here, saturates)
 
 
 def _chance_of_seeing(shown: Sequence[NDArray[Any]], saturates: np.float32) -> NDArray[Any]:
@@ -410,18 +438,26 @@ def _contradiction(
     sensor = tables.sensor
     offset = (FILE_OFFSET / 255 * (sensor.white - sensor.black)) ** 2
     shape = next(iter(samples.values())).shape
-    low, brightest = (np.zeros(shape, np.float32) for _ in range(2))
-    high, darkest = (np.full(shape, _BEYOND) for _ in range(2))
+    low, high = np.zeros(shape, np.float32), np.full(shape, _BEYOND)
     for at, sample in samples.items():
         square, noise = (looked_up(each[at], values[at]) for each in tables.of_values)
-        reached = reach * np.sqrt(noise + square * (np.square(errors[at]) + np.float32(offset)))
+        square *= np.square(errors[at]) + np.float32(offset)
+        square += noise
+        reached = np.sqrt(square, out=square)
+        reached *= reach
         least, most = sample - reached, sample + reached
-        dark = bright = sample
         if unseen[at].any():
-            seen, beyond = ~unseen[at], unseen[at] * _BEYOND
-            least, most, dark, bright = least * seen, most + beyond, dark + beyond, bright * seen
+            least, most = least * ~unseen[at], most + unseen[at] * _BEYOND
         np.maximum(low, least, out=low)
         np.minimum(high, most, out=high)
-        np.maximum(brightest, bright, out=brightest)
-        np.minimum(darkest, dark, out=darkest)
-    return np.asarray((low > high) * (brightest - darkest), np.float32)
+    apart = np.zeros(shape, np.float32)
+    contrary = np.nonzero(low > high)
+    if contrary[0].size:
+        brightest = np.zeros(contrary[0].size, np.float32)
+        darkest = np.full_like(brightest, _BEYOND)
+        for at, sample in samples.items():
+            here, hides = sample[contrary], unseen[at][contrary]
+            brightest = np.maximum(brightest, here * ~hides)
+            darkest = np.minimum(darkest, here + hides * _BEYOND)
+        apart[contrary] = brightest - darkest
+    return apart
