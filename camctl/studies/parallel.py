@@ -11,6 +11,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence, Sized
 from concurrent.futures import (
     CancelledError,
@@ -147,7 +148,7 @@ class _Pool(ProcessPoolExecutor):
     def __init__(self, count: int) -> None:
         with _signals_to_all_blocked():
             resource_tracker.ensure_running()  # a process, too; afterwards Control-C is not blocked
-        super().__init__(count, mp_context=_Context())
+        super().__init__(count, mp_context=_Context(), initializer=_end_with_parent)
 
     def submit(
         self, function: Callable[..., ResultT], /, *arguments: Any, **named: Any
@@ -155,6 +156,21 @@ class _Pool(ProcessPoolExecutor):
         """Submit a call; a process may be started for it."""
         with _signals_to_all_blocked():
             return super().submit(function, *arguments, **named)
+
+
+def _end_with_parent() -> None:
+    """End this process when the one that started it has ended, even by SIGKILL.
+
+    Processes of a pool wait for work on a pipe that they themselves hold open.
+    """
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextmanager

@@ -133,6 +133,18 @@ def test_processes_end_with_the_block_that_fails() -> None:
     assert not multiprocessing.active_children()
 
 
+def test_processes_end_with_the_one_that_started_them() -> None:
+    item = "import time; print('begun', flush=True); time.sleep(1000)"
+    program = (
+        f"from camctl.studies import parallel; parallel.run_all(exec, [{item!r}] * 2, workers=2)"
+    )
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as work:
+        assert work.stdout is not None
+        assert [work.stdout.readline() for _ in range(2)] == [b"begun\n"] * 2
+        work.kill()
+        assert work.stdout.read() == b""  # which ends when no process holds the pipe any more
+
+
 def test_an_error_of_an_item_ends_the_work() -> None:
     with pytest.raises(ValueError, match=r"math domain error|nonnegative"):
         parallel.run_all(sqrt, [4.0, -1.0], workers=2)
