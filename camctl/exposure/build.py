@@ -19,7 +19,7 @@ from pathlib import Path
 from camctl.errors import UsageError
 from camctl.exposure.cache import kept, read_kept
 from camctl.exposure.objective import Objective
-from camctl.exposure.solver import Progress, SearchOptions, solve
+from camctl.exposure.solver import MOST_SECONDS, Progress, SearchOptions, solve
 from camctl.exposure.table import (
     ExposureTable,
     TableEntry,
@@ -48,6 +48,7 @@ class Job:
         n: number of exposures, 1 to 16
         levels_wanted: G, the number of levels of the desired camera; None: n * M
         seed: seed of the random numbers
+        processor_s: see `SearchOptions`
 
     Raises:
         UsageError: n is out of range
@@ -58,6 +59,7 @@ class Job:
     n: int
     levels_wanted: float | None = None
     seed: int = 0
+    processor_s: float = MOST_SECONDS
 
     def __post_init__(self) -> None:
         check_count(self.n, MOST_SEARCHED)
@@ -69,6 +71,8 @@ class Job:
             f"{self.desired.key}|{self.desired.dynamic_range!r}|{self.n}"
             f"|{self.levels_wanted!r}|{self.seed}"
         )
+        if self.processor_s != MOST_SECONDS:
+            rest += f"|{self.processor_s!r}"
         return f"{self.response.fingerprint}-{hashlib.sha256(rest.encode()).hexdigest()[:16]}"
 
     @property
@@ -84,7 +88,7 @@ class Job:
             self.desired,
             self.n,
             objective=Objective(self.levels_wanted),
-            search=SearchOptions(seed=seed),
+            search=SearchOptions(seed, processor_s=self.processor_s),
             progress=progress,
         )
         return TableEntry.of(self.response, self.desired, found)
@@ -105,6 +109,7 @@ def look_up(
     n: int,
     *,
     levels_wanted: float | None = None,
+    processor_s: float = MOST_SECONDS,
     progress: Progress | None = None,
 ) -> TableEntry:
     """Return the exposures for a camera: from the default table, from the cache, or solved now.
@@ -114,6 +119,7 @@ def look_up(
         desired: the desired response
         n: number of exposures, 1 to 16
         levels_wanted: G, the number of levels of the desired camera; None: n * M
+        processor_s: of the search, where it is solved now; see `SearchOptions`
         progress: called with the completed share, 0 to 1, while solving
 
     Raises:
@@ -122,7 +128,7 @@ def look_up(
     found = default_table().find(response, desired, n, levels_wanted)
     if found is not None:
         return found
-    job = Job(response, desired, n, levels_wanted=levels_wanted)
+    job = Job(response, desired, n, levels_wanted=levels_wanted, processor_s=processor_s)
     return kept(
         job.name, partial(read_row, job=job), lambda: solve_job(job, progress), TableEntry.to_json
     )

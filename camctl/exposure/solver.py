@@ -81,9 +81,8 @@ SHARE_BETWEEN = 0.05
 """Share of the evaluations for a camera between the coarsest and the finest one."""
 
 MOST_SECONDS = 36.0
-"""Processor time of a search, about, at most, by `BatchScore.seconds` and
-`ExposureProblem.seconds`, so that results are the same on each machine.  A command may take 60 s
-and does more than to search."""
+"""Processor time of a search, about, at most, where it is not limited further: a command may take
+60 s and does more than to search."""
 
 QUICK_SHARE = 0.5
 """Share of it for the quick searches for each number of exposures, together, at most."""
@@ -107,6 +106,8 @@ class SearchOptions:
             unless `time_limit_s` ends the search
         effort: factor on the number of sets evaluated, > 0
         time_limit_s: wall time after which the best set so far is returned, s; None: no limit
+        processor_s: processor time of the search, about, at most, s, > 0: by `BatchScore.seconds`
+            and `ExposureProblem.seconds`, so that results are the same on each machine
 
     Raises:
         UsageError: a value is out of range
@@ -115,11 +116,16 @@ class SearchOptions:
     seed: int = 0
     effort: float = 1.0
     time_limit_s: float | None = None
+    processor_s: float = MOST_SECONDS
 
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise UsageError(f"invalid seed {self.seed}: expected a whole number >= 0")
-        for name, value in (("search effort", self.effort), ("time limit", self.time_limit_s)):
+        for name, value in (
+            ("search effort", self.effort),
+            ("time limit", self.time_limit_s),
+            ("processor time", self.processor_s),
+        ):
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise UsageError(f"invalid {name} {value:g}: expected a positive number")
 
@@ -211,7 +217,7 @@ def solve(
     problem = ExposureProblem(response, desired, n, objective or Objective())
     options, started = search or SearchOptions(), process_time()
     if tolerance is None:
-        found, _ = _best_of_count(problem, options, total_limit, progress)
+        found, _ = _best_of_count(problem, options, total_limit, progress, options.processor_s)
     else:
         found = _fewest(problem, options, total_limit, tolerance, progress)
     if progress is not None:
@@ -231,7 +237,7 @@ def _best_of_count(
     options: SearchOptions,
     total_limit: float,
     progress: Progress | None,
-    seconds: float = MOST_SECONDS,
+    seconds: float,
 ) -> tuple[Solution, float]:
     """Return the best set found within a processor time, and the time for it, both s, about."""
     n = problem.n
@@ -278,7 +284,8 @@ def _fewest(
         raise UsageError("a tolerance needs the number of desired levels")
     most, best = int(min(problem.n, max(1.0, total_limit))), math.inf
     quick = replace(options, effort=QUICK_EFFORT * options.effort)
-    quick_s, left_s = QUICK_SHARE * MOST_SECONDS / most, (1 - QUICK_SHARE) * MOST_SECONDS
+    quick_s = QUICK_SHARE * options.processor_s / most
+    left_s = (1 - QUICK_SHARE) * options.processor_s
     for n in range(1, most + 1):
         fewer = replace(problem, n=n)
         here = part_of(progress, (n - 1) / most, (n - 0.5) / most)
@@ -331,6 +338,7 @@ class _Search:
         self.progress: Progress | None = None
         self.score, self.exact_scores = BatchScore(problem), 0
         self.deadline = monotonic() + (search.time_limit_s or math.inf)
+        self.most_s = search.processor_s
         n, M, levels = problem.n, problem.response.M, problem.response.levels
         darkest = problem.desired.e_min or float(levels[levels > 0][0]) / MOST_SEARCHED
         self.moves = RandomSets(
@@ -361,7 +369,7 @@ class _Search:
 
     def limit_to(self, share: float) -> None:
         """Let the search take a share of the time that it needs."""
-        in_time = STEP_SHARE * MOST_SECONDS / self.score.seconds
+        in_time = STEP_SHARE * self.most_s / self.score.seconds
         self.most_starts = max(2, int(min(share * self.most_starts, in_time)))
         self.most_changes = int(min(share * self.longest_step, in_time))
         rest = share * (self.budget + self.longest_step) - self.most_changes

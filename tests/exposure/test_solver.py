@@ -204,6 +204,7 @@ def test_invalid_numbers_of_exposures_are_refused(n: int) -> None:
         ({"effort": 0.0}, "invalid search effort 0: expected a positive number"),
         ({"effort": math.inf}, "invalid search effort inf: expected a positive number"),
         ({"time_limit_s": -2.0}, "invalid time limit -2: expected a positive number"),
+        ({"processor_s": 0.0}, "invalid processor time 0: expected a positive number"),
     ],
 )
 def test_invalid_search_options_are_refused(options: dict[str, Any], message: str) -> None:
@@ -307,6 +308,40 @@ def test_an_invalid_tolerance_is_refused(
         solve(EIGHT_BIT, LOG, 3, objective=Objective(levels), tolerance=tolerance)
 
 
+@pytest.fixture
+def spent(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Return the times that scores are stated to take, s.
+
+    The scores are numbers that depend on the set, so that a test takes no time for them.
+    """
+    spent: list[float] = []
+
+    def score_sets(batch: BatchScore, exposures: FloatArray) -> FloatArray:
+        batch.evaluations += len(exposures)
+        spent.append(batch.seconds * len(exposures))
+        return np.asarray(np.abs(np.sin(1e6 * exposures.sum(axis=1)))) + 1
+
+    def score(problem: ExposureProblem, exposures: Sequence[float]) -> float:
+        spent.append(problem.seconds)
+        return abs(math.sin(1e6 * sum(exposures))) + 1
+
+    found = Evaluation(1, 1, 1, 1, 1, 1, 1)
+    monkeypatch.setattr(BatchScore, "__call__", score_sets)
+    monkeypatch.setattr(ExposureProblem, "score", score)
+    monkeypatch.setattr(solver, "evaluate", lambda *_, **__: found)
+    return spent
+
+
+@pytest.mark.parametrize(("bits", "n"), [(8, 6), (8, 16), (12, 4), (12, 16), (14, 6)])
+@pytest.mark.parametrize("name", ["log", "gamma"])
+def test_a_search_takes_the_time_that_it_is_given(
+    bits: int, n: int, name: str, spent: list[float]
+) -> None:
+    desired = desired_response(name, 1000.0)
+    solve(linear_response(bits), desired, n, search=SearchOptions(processor_s=0.3))
+    assert 0.25 < sum(spent) < 1.1 * 0.3
+
+
 @pytest.mark.parametrize(
     ("p", "jitter", "noise", "tolerance"),
     [
@@ -325,24 +360,8 @@ def test_the_longest_searches_score_no_more_than_they_have_time_for(
     jitter: float,
     noise: NoiseTerm | None,
     tolerance: float | None,
-    monkeypatch: pytest.MonkeyPatch,
+    spent: list[float],
 ) -> None:
-    """The scores are numbers that depend on the set, so that the test takes no time for them."""
-    spent: list[float] = []
-
-    def score_sets(batch: BatchScore, exposures: FloatArray) -> FloatArray:
-        batch.evaluations += len(exposures)
-        spent.append(batch.seconds * len(exposures))
-        return np.asarray(np.abs(np.sin(1e6 * exposures.sum(axis=1)))) + 1
-
-    def score(problem: ExposureProblem, exposures: Sequence[float]) -> float:
-        spent.append(problem.seconds)
-        return abs(math.sin(1e6 * sum(exposures))) + 1
-
-    found = Evaluation(1, 1, 1, 1, 1, 1, 1)
-    monkeypatch.setattr(BatchScore, "__call__", score_sets)
-    monkeypatch.setattr(ExposureProblem, "score", score)
-    monkeypatch.setattr(solver, "evaluate", lambda *_, **__: found)
     objective = Objective(tolerance and 1e7, p=p, jitter=jitter, noise=noise)
     shares: list[float] = []
     with pytest.raises(UsageError) if tolerance else nullcontext():

@@ -37,8 +37,9 @@ from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import DesiredResponse
 from camctl.system.number_text import range_text
 
-#: Effort of a search that the user waits for after metering: its xi is within 1 % of the full one.
-_QUICK_EFFORT = 0.1
+#: Processor time of a search that the user waits for, s.  A plan takes two of them where it chooses
+#: the range, rounds both to the camera's settings, and may take 1 s.
+_PLANNED_S = 0.3
 #: Share of a time budget that is solved for; the rest is for rounding to the camera's steps.
 _BUDGET_SHARE = 0.995
 #: Levels sorted while sets of settings are compared: about a second of work.
@@ -204,7 +205,14 @@ class Search:
         """Return the ratios for `count` exposures, and their xi."""
         wanted = self.request.levels_wanted
         if self._table is None:
-            found = look_up(real, desired, count, levels_wanted=wanted, progress=self._progress)
+            found = look_up(
+                real,
+                desired,
+                count,
+                levels_wanted=wanted,
+                processor_s=_PLANNED_S,
+                progress=self._progress,
+            )
             return tuple(found.exposures), found.xi
         row = self._table.find(real, desired, count, wanted)
         if row is None:
@@ -242,7 +250,7 @@ class Search:
             count,
             objective=Objective(allowed.levels_wanted),
             total_limit=total,
-            search=SearchOptions(effort=_QUICK_EFFORT if allowed.response == AUTO else 1.0),
+            search=SearchOptions(processor_s=_PLANNED_S),
             progress=self._progress,
         ).exposures
 
