@@ -348,14 +348,14 @@ def test_a_camera_that_is_unplugged_in_a_set_completes_it(camera_sets: Callable[
 
 @pytest.mark.slow
 @pytest.mark.no_cover  # the tracing of coverage keeps something of each thread
-def test_hundreds_of_sets_neither_drift_nor_grow(tmp_path: Path) -> None:
+def test_many_sets_neither_drift_nor_grow(tmp_path: Path) -> None:
     interval_s = 30.0
     objects: list[int] = []
     open_files: list[int] = []
     threads: list[int] = []
 
     def count(progress: SeriesProgress) -> None:
-        if progress.state == "waiting" and progress.done in (60, 290):
+        if progress.state == "waiting" and progress.done in (60, 160):
             gc.collect()
             objects.append(len(gc.get_objects()))
             open_files.append(len(list(Path("/proc/self/fd").iterdir())))
@@ -363,16 +363,16 @@ def test_hundreds_of_sets_neither_drift_nor_grow(tmp_path: Path) -> None:
 
     with small_camera("ideal-6", gradient(12, 16)) as camera:
         request = CaptureRequest(ratios=(1.0, 8.0))
-        found = journal(camera.info, request, repeat=300, interval_s=interval_s)
+        found = journal(camera.info, request, repeat=170, interval_s=interval_s)
         tools = SeriesTools(camera.clock, progress=count)
         Series(tmp_path / "series", found, CameraSets(camera, found), tools).run()
-    assert found.completed == 300
+    assert found.completed == 170
     assert (
         max(abs(each.started_s - each.number * interval_s + interval_s) for each in found.sets)
         < 1e-6
     )
     # What is kept of a set: its record, which is six objects, and nothing else.
-    assert objects[1] - objects[0] < 230 * 7
+    assert objects[1] - objects[0] < 100 * 7
     assert open_files[0] == open_files[1]
     assert threads[0] == threads[1]
-    assert len(list((tmp_path / "series" / "thumbnails").iterdir())) == 300
+    assert len(list((tmp_path / "series" / "thumbnails").iterdir())) == 170

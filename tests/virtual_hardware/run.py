@@ -1,6 +1,7 @@
 """Test all backends against the kernel's own drivers, in a virtual machine.
 
-    .venv/bin/python tests/virtual_hardware/run.py [-k EXPRESSION] [--backend NAME] [--bench]
+    .venv/bin/python tests/virtual_hardware/run.py [-k EXPRESSION] [--backend NAME] [--proofs]
+    .venv/bin/python tests/virtual_hardware/run.py --bench
     .venv/bin/python tests/virtual_hardware/run.py --guest display|panels [--keep FOLDER]
 
 All tests run in one guest: a guest computes for most of a minute before its first test, importing
@@ -209,6 +210,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--backend", choices=BACKENDS, help="only this backend's tests")
     parser.add_argument("--guest", choices=DISPLAYS, help="only this guest, with its own test")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the display's pictures")
+    parser.add_argument("--proofs", action="store_true", help="with the tests marked proof")
     parser.add_argument("--bench", action="store_true", help="run the benchmarks instead")
     parser.add_argument("--must-run", action="store_true", help=f"status {SKIPPED} when skipped")
     parser.add_argument("--limit", type=float, default=LIMIT_S, metavar="SECONDS", help="at most")
@@ -245,7 +247,8 @@ def _benches() -> list[str]:
 def _tests(arguments: argparse.Namespace) -> list[str]:
     """Return the command that runs the tests."""
     selected = " and ".join(f"({each})" for each in (arguments.backend, arguments.k) if each)
-    return [*PYTEST, *(("-k", selected) if selected else ()), str(HERE / "guest")]
+    marks = () if arguments.proofs else ("-m", "not proof")
+    return [*PYTEST, *marks, *(("-k", selected) if selected else ()), str(HERE / "guest")]
 
 
 if __name__ == "__main__":

@@ -39,6 +39,7 @@ def test_a_picture_over_ptp(hub: rig.RecordingHub, tmp_path: Path) -> None:
     check_ramp_at_8_ms(decode(data))
 
 
+@pytest.mark.proof  # computes for half a minute, to keep the clocks in step
 def test_a_picture_over_a_serial_line(hub: rig.RecordingHub, tmp_path: Path) -> None:
     node = rig.serial_port().resolve()
     with guest.clock_in_step():

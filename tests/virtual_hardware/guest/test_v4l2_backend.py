@@ -186,6 +186,7 @@ class TestDelay:
 
 
 class TestCalibration:
+    @pytest.mark.proof  # computes for three quarters of a minute
     def test_a_calibrated_webcam_makes_the_linear_picture_that_it_promises(
         self,
         hub: rig.RecordingHub,
