@@ -37,9 +37,9 @@ from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import DesiredResponse
 from camctl.system.number_text import range_text
 
-#: Processor time of a search that the user waits for, s.  A plan takes two of them where it chooses
-#: the range, rounds both to the camera's settings, and may take 1 s.
-_PLANNED_S = 0.3
+#: Processor time of a search that the user waits for, s.  A plan makes two where it chooses the
+#: range, and more within a budget of time; it rounds what they find, and may take 1 s in all.
+_PLANNED_S = 0.2
 #: Share of a time budget that is solved for; the rest is for rounding to the camera's steps.
 _BUDGET_SHARE = 0.995
 #: Levels sorted while sets of settings are compared: about a second of work.
