@@ -236,3 +236,17 @@ def test_a_sharp_shoulder_is_followed() -> None:
     assert (
         np.sqrt(np.mean((errors * slope) ** 2)) < 0.00026
     )  # 0.00030 with knots that are wide at the shoulder
+
+
+@pytest.mark.parametrize("step", [2, 4, 8, 16])
+def test_counted_rows_of_a_large_frame_are_all_rows_of_blocks_alike(
+    step: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A JPEG file changes levels most in the first and the last row of its blocks."""
+    frame = np.full((960, 400), 100, np.uint8)
+    frame[::8] = 200
+    monkeypatch.setattr("camctl.calibration.response.series._MOST_COUNTED", frame.size // step)
+    series = Series(Layout.MONO, 8)
+    series.add(frame, 1.0, "frame")
+    below, above = series.counts_between("Y", np.array([150.0]))[0]
+    assert above / (below + above) == pytest.approx(1 / 8, rel=0.1)

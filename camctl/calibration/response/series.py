@@ -357,5 +357,9 @@ class Series:
 
 
 def _counted(plane: NDArray[Any]) -> NDArray[Any]:
-    """Return the rows of a plane of which the samples are counted, evenly spread."""
-    return plane[:: max(1, plane.size // _MOST_COUNTED)]
+    """Return the rows of a plane of which the samples are counted, evenly spread.
+
+    Their step is odd, so that they are as many of each row of the blocks of a JPEG file: its first
+    rows alone, at quality 90, have numbers of levels wrong by four standard deviations.
+    """
+    return plane[:: max(0, plane.size // _MOST_COUNTED - 1) | 1]
