@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_cameras import small_camera
@@ -11,6 +13,7 @@ from camctl.exposure.accurate.gap_filling import GapFilling, TimeLimit, _Gaps, _
 from camctl.exposure.exposure_choices import TimeCosts
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.search.front import Front
+from camctl.model.noise import NoiseModel
 from camctl.model.response.camera import FloatArray, linear_response
 from camctl.model.response.desired import DesiredResponse, desired_response
 
@@ -142,3 +145,52 @@ def test_more_levels_than_random_changes_find() -> None:
     with small_camera("ideal-8", np.full((12, 16), 100.0)) as camera:
         front = Front(camera.controls, desired_response("log", 1000.0), 1 / 800, request=request)
         assert front.levels_of(front.at_time(1.0).settings) > 300
+
+
+def front_without_noise(noise: NoiseModel | None = None) -> Front:
+    request = CaptureRequest(response="linear", dynamic_range=256.0)
+    with small_camera("ideal-8", np.full((12, 16), 100.0)) as camera:
+        controls = camera.controls if noise is None else replace(camera.controls, noise=noise)
+        return Front(controls, desired_response("linear", 256.0), 0.02, request=request)
+
+
+def test_what_exposures_change_is_computed_from_the_gaps_that_they_divide() -> None:
+    """Levels in the same gap, and outside the range, among them."""
+    for each in (filling("log"), filling("linear"), filling("gamma")):
+        row = np.array([0.0, 0.4, 1.1, 5.9])
+        more = np.array([[0.0, 0.001], [0.41, 3.0], [5.0, 6.2]])
+        found = _Gaps(each, row).errors_with(more)
+        for k in range(3):
+            both = np.append(row, more[k])
+            assert found[k] == pytest.approx(
+                error(each.response.levels, both, each.desired), rel=1e-9
+            )
+
+
+def test_a_range_without_end_has_a_front_without_noise() -> None:
+    """The logarithm of its darkest light does not exist."""
+    request = CaptureRequest(response="gamma", dynamic_range=256.0)
+    with small_camera("ideal-4", np.full((12, 16), 100.0)) as camera:
+        front = Front(camera.controls, desired_response("gamma", np.inf), 0.02, request=request)
+        point = front.at_time(0.6)
+    assert point.levels == pytest.approx(front.levels_of(point.settings), rel=1e-9)
+    assert point.n > 1
+
+
+def test_with_little_noise_sets_in_the_camera_s_steps_are_compared() -> None:
+    """Sets between them had more levels than any that the camera can take, and pushed these out."""
+    noise = NoiseModel(10_000 / 256, read_noise_e=((1.0, 0.8),), photon_noise=False)
+    front = front_without_noise(noise)
+    assert not front.is_smooth
+    sets, step = front._sets, front._problem.available.step
+    for limit in (5.0, 12.0):
+        rated = sets.within(limit)
+        place = (np.array([shot.time for shot in rated.shots]) - 1) / step
+        assert np.allclose(place, np.round(place), atol=1e-5)
+        assert rated.time <= limit * (1 + 1e-9)
+
+
+def test_a_longer_time_has_no_fewer_levels_than_the_set_it_starts_from() -> None:
+    sets = front_without_noise()._sets
+    start = sets.within(8.0)
+    assert sets.within(8.4, polished=False, start=start.shots).levels >= start.levels

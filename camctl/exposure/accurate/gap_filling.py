@@ -39,9 +39,13 @@ COARSE, FEWEST = 3, 4096
 """Step of the exposures that are compared, in mean gaps of ln E between the levels of a set near
 full scale; and how many values are transformed at least, which takes 20 us."""
 
-MOVES, LEAST_GAIN = (1, 2, 3, 4, 6, 8, 12, 16, 24, 48, 96, 192), 1e-6
-"""Steps of the camera's times by which an exposure is moved; and the relative gain in the error
-from which it is."""
+MOVES = 3 ** np.arange(5.0)
+"""Steps of the camera's times by which an exposure is moved: with both signs, powers of three add
+up to every number.  Twelve moves up to 192 take 1.7 times as long for 0.25 % more levels (60 sets
+of random cameras)."""
+
+LEAST_GAIN = 1e-6
+"""Relative gain in the error from which an exposure is moved."""
 
 SCALINGS, SCALED = 8, 1e-9
 """Steps by which sets are scaled to a time, at most, from a thousand times it; and by what share
@@ -234,19 +238,19 @@ class GapFilling:
         Args:
             row: natural logarithms of ascending exposures
             step: distance of two exposures, relative to the shortest
-            most: levels that are rated for this, at most
+            most: levels that are placed and sorted for this, at most
         """
         longest = math.floor(math.expm1(self.reach) / step * (1 + SAME))
         number = np.minimum(np.round(np.expm1(row) / step), longest)
         if self.within.total(np.log1p(number * step)[np.newaxis])[0] > self.within.limit:
             number = np.floor(np.expm1(row) / step + SAME)
-        moves = np.array([*(-each for each in MOVES), *MOVES], dtype=np.float64)
-        left = most // (row.size * self.response.M)
+        moves = np.concatenate([-MOVES, MOVES])
+        left = most // self.response.M
         error, since, place = self.error(np.log1p(number * step)), 0, 0
         while since < row.size - 1 and left > 0:
             place = place % (row.size - 1) + 1
             trials, errors = self._moved(number, place, moves, step)
-            left, since = left - len(trials), since + 1
+            left, since = left - len(trials) - row.size, since + 1
             if len(errors) and errors.min() < error * (1 - LEAST_GAIN):
                 error, number, since = float(errors.min()), trials[errors.argmin()], 0
         return np.log1p(number * step)

@@ -24,7 +24,7 @@ from camctl.exposure.accurate.judge import JUDGED_FRAMES, Judge
 from camctl.exposure.accurate.least_quantisation import least_quantisation
 from camctl.exposure.accurate.listed import ListedSets
 from camctl.exposure.accurate.tuning import CLOSE, CORRECTIONS, MIDDLE
-from camctl.exposure.exposure_choices import AccuracyProblem, Rated, Shots, bases
+from camctl.exposure.exposure_choices import AccuracyProblem, Rated, Shot, Shots, bases
 from camctl.exposure.noise import DITHERS
 from camctl.exposure.random_sets import interleave_step
 from camctl.exposure.settings_grid import SAME
@@ -201,14 +201,33 @@ class AccurateSets:
                 found.append(self._polished(search, design, limit))
         found += [rated for rated, _, _ in judged]
         if not self.dithered:
-            if self.problem.noise.is_none and not self.searches[0].is_list:
-                # Of more exposures, it is one of the starts below, and not in steps of the times.
-                found = [rated for rated in found if len(rated.shots) == 1]
+            if start:
+                found.append(self.judge(start))
             for search in dict.fromkeys(search for _, search in near if not search.is_list):
                 design = next(design for design, each in near if each is search)
                 sets = least_quantisation(search, design, limit, thorough=polished, start=start)
                 found += [self.judge(each) for each in sets]
+            found = [self._in_steps(each, limit) for each in found]
         return max(found, key=lambda each: (each.levels, -each.time))
+
+    def _in_steps(self, rated: Rated, limit: float) -> Rated:
+        """Return a set of a time at most `limit` with its times in the camera's steps."""
+        available = self.problem.available
+        step = available.step
+        if not step or available.times is not None:
+            return rated
+        gain = np.array([shot.gain for shot in rated.shots])
+        place = (np.array([shot.time for shot in rated.shots]) - 1) / step
+        if np.all(np.abs(place - np.round(place)) * step <= SAME * (1 + step * place)):
+            return rated
+        low, high = (available.shortest - 1) / step, (available.longest - 1) / step
+        for number in (np.round(place), np.floor(place + SAME)):
+            time = 1 + step * np.clip(number, math.ceil(low - SAME), math.floor(high + SAME))
+            rows = zip(time * gain / min(available.gains), time, gain, strict=True)
+            shots = tuple(sorted(Shot(float(e), float(t), float(g)) for e, t, g in rows))
+            if available.costs.total([shot.time for shot in shots]) <= limit * (1 + SAME):
+                break
+        return self.judge(shots)
 
     def front(self, limits: Sequence[float]) -> list[Rated]:
         """Return about the most accurate set within each of some ascending times.

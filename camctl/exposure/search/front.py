@@ -45,7 +45,7 @@ from camctl.model.effective import EffectiveCamera
 from camctl.model.noise import FrameNoise
 from camctl.model.response.desired import DesiredResponse
 
-VERSION = 15
+VERSION = 16
 """Part of the key of a kept point; it changes where the search finds other settings."""
 
 POINTS = 12
@@ -369,12 +369,7 @@ class Front:
                 self.controls.time_s.minimum, setting.time_s * (1 - SAME_TIME), 1
             )
             shorter.append(setting if is_base or not below else replace(setting, time_s=below[0]))
-        judge, shots = self._sets.judge, self._shots(shorter)
-        if len(shots) > JUDGED_FRAMES:
-            levels = judge(shots).levels
-        else:
-            levels = point.levels * judge.estimated(shots)
-            levels /= judge.estimated(self._shots(point.settings))
+        levels = self._levels_near(point.levels, self._shots(point.settings), shorter)
         time_s = self.time_of(shorter)
         return replace(point, settings=tuple(shorter), time_s=time_s, levels=levels)
 
@@ -453,20 +448,35 @@ class Front:
         asked = [shot.time * shot.gain for shot in rated.shots]
         pairs = sorted(zip(settings, asked, strict=True), key=lambda pair: pair[0].exposure)
         settings = [setting for setting, _ in pairs]
-        exposures = controls.relative_exposures(settings)
         ratios = tuple(exposure / min(asked) for exposure in sorted(asked))
-        changed = max(abs(math.log(a / b)) for a, b in zip(exposures, ratios, strict=True))
-        levels = rated.levels
         if is_exact:
             levels = self.levels_of(settings)
-        elif (judges_many and len(settings) > JUDGED_FRAMES) or (
-            changed > SAME and not self._sets.dithered  # levels that interleave decide
-        ):
-            levels = self._sets.judge(self._shots(settings)).levels
-        elif changed > SAME_LEVELS:
-            judge = self._sets.judge
-            levels *= judge.estimated(self._shots(settings)) / judge.estimated(rated.shots)
+        else:
+            levels = self._levels_near(rated.levels, rated.shots, settings, judges_many=judges_many)
         return FrontPoint(tuple(settings), ratios, self.time_of(settings), levels)
+
+    def _levels_near(
+        self,
+        levels: float,
+        shots: Shots,
+        settings: Sequence[ExposureSetting],
+        *,
+        judges_many: bool = True,
+    ) -> float:
+        """Return the levels of settings that are those of `shots`, which have `levels`, rounded.
+
+        Where levels that interleave decide they are judged, with `judges_many` those of many
+        frames, too; others change as the estimate does.
+        """
+        judge, rounded = self._sets.judge, self._shots(settings)
+        pairs = zip(rounded, shots, strict=True)
+        changed = max(abs(math.log(a.exposure / b.exposure)) for a, b in pairs)
+        is_many = judges_many and len(rounded) > JUDGED_FRAMES
+        if is_many or (changed > SAME and not self._sets.dithered):
+            return judge(rounded).levels
+        if changed > SAME_LEVELS:
+            return levels * judge.estimated(rounded) / judge.estimated(shots)
+        return levels
 
     def levels_of(self, settings: Sequence[ExposureSetting]) -> float:
         """Return the exact effective levels of settings, the noise counted in."""
