@@ -13,6 +13,8 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.system.picture_operations import as_halves, looked_up
+
 #: Luminance of PQ's full scale, and of the white of a preview, cd/m2.
 _FULL, _WHITE = 10_000.0, 203.0
 #: m1, m2, c1, c2, c3 of SMPTE ST 2084.
@@ -46,8 +48,8 @@ def picture_in_pq(light: NDArray[np.float32], imagecodecs: ModuleType) -> bytes:
     # float16 has eleven bits of each light, which is exact to a fifth of a step; its bits are the
     # place in the table.
     with np.errstate(over="ignore"):
-        places = light.astype(np.float16).view(np.uint16)
-    codes = _codes().take(places)
+        halves = as_halves(light.reshape(len(light), -1))
+    codes = looked_up(_codes(), halves.view(np.uint16)).reshape(light.shape)
     coded: bytes = imagecodecs.avif_encode(
         np.dstack((codes,) * (3 // light.shape[2])),
         level=_QUALITY,
