@@ -24,6 +24,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from camctl.__main__ import settle
+
 SIMULATOR = "simulator"
 #: Modules, functions and the part that each belongs to.
 PARTS = (
@@ -91,6 +93,7 @@ class Clocks:
 def shoot(megapixels: float, exposures: int, folder: str) -> None:
     """Run one capture and print its measurements as JSON."""
     began = time.process_time()
+    settle()
     clocks = Clocks()
     for module, name, part in PARTS:
         clocks.watch(module, name, part)
