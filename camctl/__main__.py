@@ -49,11 +49,9 @@ def _handle_all(handler: Callable[[int, FrameType | None], Any] | int) -> None:
 
 def settle() -> None:
     """Settle how libraries work in this process: what the command does itself takes less time."""
-    # The products of OpenBLAS are small, OpenCV is called from two threads, and their own wait for
-    # one another in busy loops: where other work has the processors, a merge takes 1.7 times the
-    # processor time with those of OpenBLAS.
+    # The products of OpenBLAS are small, and its threads wait for one another in busy loops: where
+    # other work has the processors, a merge takes 1.7 times the processor time with them.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
     # Pydantic would look for plugins in the files of all installed packages.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     # Searches for unused objects, each few hundred new ones, take a thirtieth of a capture, and
