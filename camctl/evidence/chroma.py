@@ -55,9 +55,12 @@ def has_few_chroma_samples(samples: Sequence[Patches], highest: int) -> bool:
         used = np.asarray(((squares > 0) & (squares <= highest)).all(axis=0))
         used = used[:, 1:, 1:] & used[:, 1:, :-1] & used[:, :-1, 1:] & used[:, :-1, :-1]
         red, green, blue = squares
-        detail += float(np.square(_finest(green)[used]).sum())
-        others += [np.square(_finest(each - green)[used]).sum() for each in (red, blue)]
-        count += int(np.count_nonzero(used))
+        found = [_finest(each)[used] for each in (green, red - green, blue - green)]
+        # Squares without any, most of them in the dark, show neither.
+        count += int(np.count_nonzero(np.any(found, axis=0)))
+        own, *of_others = (float(np.square(each).sum()) for each in found)
+        detail += own
+        others += of_others
     # Two roundings make a sixth of a level squared of R - G.
     return (
         count >= _LEAST_SQUARES
