@@ -284,7 +284,14 @@ def measure_noise(
         return Posterior(camera, desired, frames).inverse.effective_levels
 
     middle = levels(fit.noise)
-    uncertainty = math.dist([middle] * len(fit.neighbours), [*map(levels, fit.neighbours)])
+    errors = [levels(each) - middle for each in fit.neighbours]
+    undithered = _undithered(fit.noise)
+    if undithered > 0.1 * max(abs(each[1] - fit.noise[1]) for each in fit.neighbours):
+        # Levels that interleave follow read noise steeply: of both directions the larger change.
+        change = np.array([0.0, undithered])
+        less, more = np.maximum(fit.noise - change, 0.0), fit.noise + change
+        errors.append(max(levels(less) - middle, middle - levels(more)))
+    uncertainty = math.hypot(*errors)
     if uncertainty > _MOST_UNCERTAIN * middle:
         return None
     inverse, square = fit.noise.tolist()
@@ -295,6 +302,19 @@ def measure_noise(
         read_noise_levels=math.sqrt(square),
         samples=fit.freedom,
     )
+
+
+def _undithered(noise: _Floats) -> float:
+    """Return the standard error of squared read noise from quantisers that no noise dithers.
+
+    The fit takes the errors of two quantisers as independent.  With noise of standard deviation s
+    levels, and phases c steps apart, their covariance is the sum over k of cos(2 pi k c)
+    exp(-4 pi^2 k^2 s^2) / (2 pi^2 k^2): each error is a Fourier series of the light, of which noise
+    leaves its characteristic function (Widrow and Kollar, Quantization Noise, 2008).  Of c nothing
+    is known; s is that of the darkest patches that are used.
+    """
+    variance = float(noise @ [_LEAST_LEVEL, 1.0])
+    return math.exp(-4 * math.pi**2 * variance) / (2 * math.pi**2 * math.sqrt(2))
 
 
 def fit_noise(

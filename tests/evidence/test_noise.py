@@ -66,6 +66,17 @@ def test_pixels_show_the_predicted_accuracy(sensor: str) -> None:
     assert not any(each.code == "noise_differs" for each in report.findings)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("sensor", "scene"),
+    [("ideal-6", "night-street"), ("ideal-6", "tile-floor"), ("ideal-12", "room")],
+)
+def test_quantisers_that_nothing_dithers_are_not_taken_for_noise(sensor: str, scene: str) -> None:
+    with camctl.open_camera("sim", sensor=sensor, scene=scene, size="320x240", seed=3) as camera:
+        report = camctl.capture(camera, CaptureRequest())
+    assert not any(each.code == "noise_differs" for each in report.findings)
+
+
 def test_a_wrong_noise_model_is_reported() -> None:
     right = captured(NoiseModel(10000 / 256, ((1.0, 3.0),)))
     wrong = captured(NoiseModel(3 * 10000 / 256, ((1.0, 3.0),)))
