@@ -185,6 +185,27 @@ def test_frames_with_little_light_in_common_say_how_uncertain_they_are(
     assert 0.4 < stated / np.sqrt(np.mean(errors**2)) < 2.5
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("read_noise", [0.05, 0.1])
+def test_uncertainty_covers_what_quantisers_without_dither_have_in_common(
+    read_noise: float,
+) -> None:
+    errors = []
+    for ratio in (3.0, 10.0, 30.0):
+        exposures = (1.0, ratio, ratio**2)
+        camera = EffectiveCamera.of(RESPONSE, exposures)
+        noise = [FrameNoise(200.0, read_noise)] * 3
+        truth = Posterior(camera, LOG, noise).inverse.effective_levels
+        for seed, contrast in enumerate([0.0, 0.08] * 3):
+            light = np.geomspace(1e-3, 1, 1500)[:, np.newaxis]
+            light = light * np.linspace(1 - contrast, 1 + contrast, 64)
+            frames = patches(light, 200.0, seed, exposures=exposures, read_noise=read_noise)
+            found = measure(frames, exposures)
+            assert found is not None
+            errors.append(abs(found.effective_levels - truth) / found.uncertainty)
+    assert np.mean(np.array(errors) < 2) > 0.85  # of 18; 0.95 is expected
+
+
 @pytest.mark.parametrize("contrast", [0.0, 0.03, 0.08])
 def test_noise_far_below_a_step_is_measured(contrast: float) -> None:
     """All samples of a patch are rounded alike there: its spread depends on its light."""
