@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -9,15 +7,14 @@ import pytest
 
 from camctl.errors import DataError, UsageError
 from camctl.exposure import grid_search
-from camctl.exposure.candidates import BatchScore
 from camctl.exposure.grid_search import solve_settings
 from camctl.exposure.noise import NoiseTerm
-from camctl.exposure.objective import ExposureProblem, Objective, xi
+from camctl.exposure.objective import Objective, xi
 from camctl.exposure.settings_grid import SettingsGrid, stepped
 from camctl.exposure.solver import SearchOptions, Solution, solve
 from camctl.model.effective import EffectiveCamera
 from camctl.model.response.auto import auto_response
-from camctl.model.response.camera import FloatArray, linear_response
+from camctl.model.response.camera import linear_response
 from camctl.model.response.desired import desired_response
 from camctl.model.response.tabulated import tabulated_desired
 
@@ -165,22 +162,8 @@ def test_too_many_pairs_of_a_time_and_a_gain_are_refused() -> None:
 
 @pytest.mark.parametrize("p", [1.0, 2.5])
 def test_the_longest_searches_of_settings_score_no_more_than_they_have_time_for(
-    p: float, monkeypatch: pytest.MonkeyPatch
+    p: float, spent: list[float]
 ) -> None:
-    """The scores are numbers that depend on the set, so that the test takes no time for them."""
-    spent: list[float] = []
-
-    def score_sets(batch: BatchScore, exposures: FloatArray) -> FloatArray:
-        batch.evaluations += len(exposures)
-        spent.append(batch.seconds * len(exposures))
-        return np.asarray(np.abs(np.sin(1e6 * exposures.sum(axis=1)))) + 1
-
-    def score(problem: ExposureProblem, exposures: Sequence[float]) -> float:
-        spent.append(problem.seconds)
-        return abs(math.sin(1e6 * sum(exposures))) + 1
-
-    monkeypatch.setattr(BatchScore, "__call__", score_sets)
-    monkeypatch.setattr(ExposureProblem, "score", score)
     ideal = Solution(tuple(np.geomspace(1, 1e4, 16).tolist()), 1.0, 1, 1, 1, 1, 1)
     grid, shares = SettingsGrid(np.arange(1, 2000)), list[float]()
     found = solve_settings(

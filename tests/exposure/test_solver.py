@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from contextlib import nullcontext
 from typing import Any
 
@@ -18,7 +17,7 @@ from camctl.exposure.noise import NoiseTerm
 from camctl.exposure.objective import ExposureProblem, Objective, xi
 from camctl.exposure.solver import SearchOptions, solve
 from camctl.model.effective import EffectiveCamera
-from camctl.model.response.camera import FloatArray, linear_response
+from camctl.model.response.camera import linear_response
 from camctl.model.response.desired import DesiredResponse, desired_response
 from camctl.model.response.measured import measured_response
 from camctl.model.response.tabulated import tabulated_desired
@@ -309,25 +308,9 @@ def test_an_invalid_tolerance_is_refused(
 
 
 @pytest.fixture
-def spent(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """Return the times that scores are stated to take, s.
-
-    The scores are numbers that depend on the set, so that a test takes no time for them.
-    """
-    spent: list[float] = []
-
-    def score_sets(batch: BatchScore, exposures: FloatArray) -> FloatArray:
-        batch.evaluations += len(exposures)
-        spent.append(batch.seconds * len(exposures))
-        return np.asarray(np.abs(np.sin(1e6 * exposures.sum(axis=1)))) + 1
-
-    def score(problem: ExposureProblem, exposures: Sequence[float]) -> float:
-        spent.append(problem.seconds)
-        return abs(math.sin(1e6 * sum(exposures))) + 1
-
+def spent(spent: list[float], monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Return the times that scores are stated to take, s; what is found is not evaluated."""
     found = Evaluation(1, 1, 1, 1, 1, 1, 1)
-    monkeypatch.setattr(BatchScore, "__call__", score_sets)
-    monkeypatch.setattr(ExposureProblem, "score", score)
     monkeypatch.setattr(solver, "evaluate", lambda *_, **__: found)
     return spent
 
