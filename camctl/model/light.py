@@ -60,6 +60,7 @@ class _Weights:
         spread: standard deviation of each sample as irradiance
         steps: that of noise alone in steps of the quantiser
         clipped, saturated: whether noise clips the sample at the lowest value, or saturates it
+        above: whether the light is so near full scale that a saturated sample says that it is above
         deviation: standard deviation of the mean, pattern noise included
         pattern: that of the pattern noise alone
         of_sum: that of the light that the sum of the samples shows, likewise: each of the frames
@@ -72,6 +73,7 @@ class _Weights:
     steps: FloatArray
     clipped: NDArray[np.bool_]
     saturated: NDArray[np.bool_]
+    above: NDArray[np.bool_]
     deviation: FloatArray
     pattern: FloatArray
     of_sum: FloatArray
@@ -119,6 +121,7 @@ class _Weights:
             np.sqrt(noise) / step,
             clipped,
             saturated,
+            saturated & (x - CLIPPING_SIGMAS * exposures * deviation - reach < sensor.full),
             deviation,
             np.sqrt(pattern),
             np.sqrt(of_sum / slopes.sum(axis=0) ** 2 + (prnu * E) ** 2),
@@ -182,7 +185,8 @@ class LightTables:
         near = found.saturated & (found.share > 0)
         self._kept = (found.share > _NOTABLE / len(exposures)) | near
         self._near = near & (found.weight == 0)
-        self._near_any = self._near.any(axis=0)
+        self._above = found.above & (found.weight == 0)
+        self._above_any = self._above.any(axis=0)
         # Compression lowers saturated samples beside others: such a frame does not count.
         first = frames.noise[0]
         is_compressed, self._white = bool(first.compression_levels), sensor.white
@@ -279,24 +283,36 @@ class LightTables:
         """
         bins = self.bins(E)
         chosen = np.flatnonzero(self._exact.take(bins))
-        doubtful = np.zeros(chosen.size, np.bool_)
+        all_count = np.zeros(chosen.size, np.bool_)
         if chosen.size and self._scores is not None:
             first = bins[chosen]
             here = [each[chosen] for each in values]
             light, error, meets = self._scores.of(here, first)
             meets = meets & (light <= self._brightest)  # levels that coincide have no slope
-            kept = chosen[meets]
-            E[kept] = light[meets]
-            deviation[kept] = np.hypot(error, self._pattern.take(first))[meets]
+            moved = meets & ~self._sharp.take(first)  # scores within a step say nothing
+            kept = chosen[moved]
+            E[kept] = light[moved]
+            deviation[kept] = np.hypot(error, self._pattern.take(first))[moved]
             bins[kept] = self.bins(E[kept])
-            rest = ~meets | (error * _NEAR_ZERO > light) | self._sharp.take(first)
-            chosen, doubtful = chosen[rest], ~meets[rest]
+            all_count = ~meets | self._ends_at_white(here, bins[chosen])
+            rest = ~moved | all_count | (error * _NEAR_ZERO > light)
+            chosen, all_count = chosen[rest], all_count[rest]
         if chosen.size:
             here = [each[chosen] for each in values]
-            counts = [row.take(bins[chosen]) | doubtful for row in self._kept]
+            all_count |= self._ends_at_white(here, bins[chosen])
+            counts = [row.take(bins[chosen]) | all_count for row in self._kept]
             mean, spread = self._posterior.of(here, counts)
             known = np.isfinite(mean)  # else all probabilities are 0
             E[chosen[known]], deviation[chosen[known]] = mean[known], spread[known]
+
+    def _ends_at_white(
+        self, values: Sequence[NDArray[Any]], bins: NDArray[np.intp]
+    ) -> NDArray[np.bool_]:
+        """Return where a saturated sample says that the light is above full scale."""
+        found = np.zeros(bins.size, np.bool_)
+        for above, each in zip(self._above, values, strict=True):
+            found |= above.take(bins) & (each >= self.sensor.white)
+        return found
 
     def _add_saturated(
         self,
@@ -307,9 +323,12 @@ class LightTables:
         deviation: Floats32,
     ) -> None:
         """Add what the frames say that noise may or may not saturate; they have no weight yet."""
-        some = np.flatnonzero(self._near_any.take(bins))
-        for place, near in enumerate(self._near):
-            chosen = some[near.take(bins[some])]
+        some = np.flatnonzero(self._above_any.take(bins))
+        for place, (near, above_full) in enumerate(zip(self._near, self._above, strict=True)):
+            chosen = some[above_full.take(bins[some])]
+            is_white = values[place][chosen] >= self.sensor.white
+            counts = is_white | near.take(bins[chosen])
+            chosen, is_white = chosen[counts], is_white[counts]
             if not chosen.size:
                 continue
             mean, spread = E[chosen].astype(np.float64), deviation[chosen].astype(np.float64)
@@ -318,7 +337,6 @@ class LightTables:
             measured = mean + share * (samples[place][chosen] - mean)
             full = float(self.irradiance[place, -1])
             above, narrower = truncated((mean - full) / np.hypot(spread, other))
-            is_white = values[place][chosen] >= self.sensor.white
             E[chosen] = np.where(is_white, mean + spread * np.sqrt(share) * above, measured)
             deviation[chosen] = spread * np.sqrt(
                 np.maximum(1 - share * np.where(is_white, narrower, 1.0), 1e-6)

@@ -130,7 +130,7 @@ class SensorModel:
 
     def step(self, light: FloatArray) -> FloatArray:
         """Return the step of the quantiser at a light."""
-        return np.asarray(np.interp(light, self.light, self.gap))
+        return np.asarray(np.interp(light, self.light[:-1], self.gap[:-1]))  # white has no end
 
     def highest(self, noise: FrameNoise | None) -> int:
         """Return the largest brightness that noise saturates in few samples, see `CLIPPED`.

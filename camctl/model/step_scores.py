@@ -5,9 +5,10 @@ sample is d ln p / dE, and its information the mean of the square of that; both 
 light, and the scores also by frame and value.  Unlike a posterior it costs the same for each
 combination of samples.
 
-Where the variance v grows with the light, as by photons, dv/dE is added: for a prior that is flat
-in E the posterior mean is larger than the maximum by so much.  With photon noise alone it is one
-electron.
+Where the variance v of the light grows with it, as by photons, dv/dE is added: for a prior that is
+flat in E the posterior mean is larger than the maximum by so much.  With photon noise alone it is
+one electron.  Information that changes for another reason adds nothing: steps have as much of it
+above their light as below, and samples that are saturated say nothing of where the others lie.
 """
 
 from __future__ import annotations
@@ -35,10 +36,6 @@ _ROUNDS, _FACTOR = 3, 2.0
 #: 1e-7.
 _LEAST = 1e-5
 
-#: Lights, in places, between which the variance is taken to change evenly: half an octave either
-#: way.
-_REACH = 32
-
 #: Least noise in steps: with less of it scores are 0 within a step.
 _LEAST_NOISE = 0.05
 
@@ -61,11 +58,13 @@ class StepScores:
         self._bins, lights = bins, bins.lights[:size]
         self._lights = lights.astype(np.float32)
         information = np.zeros(lights.size)
+        # Of a sample that is not saturated, as if the quantiser's error were normal, too.
+        self._normal, self._growth = np.empty((2, len(frames.noise), lights.size), "f4")
         self._scores = np.empty(
             (len(frames.noise), lights.size, _values(frames, sensor, lights)), "f4"
         )
-        for table, exposure, noise in zip(
-            self._scores, frames.exposures, frames.noise, strict=True
+        for at, (table, exposure, noise) in enumerate(
+            zip(self._scores, frames.exposures, frames.noise, strict=True)
         ):
             x = (exposure * lights + noise.dark_levels * sensor.level)[:, np.newaxis]
             offset = noise.dsnu_levels * sensor.level
@@ -73,6 +72,9 @@ class StepScores:
             least = (_LEAST_NOISE * np.maximum(sensor.step(x), 1e-6 * sensor.level)) ** 2
             variance = np.maximum(sensor.spread(x, noise) + offset**2, least)
             sigma = np.sqrt(variance)
+            normal = exposure**2 / (variance + sensor.step(x) ** 2 / 12)[:, 0]
+            self._normal[at] = normal
+            self._growth[at] = (normal / exposure) ** 2 * np.gradient(variance[:, 0], lights)
             growth = exposure * sensor.level / noise.electrons_per_level / (2 * variance)
             thresholds = NoisyFrame.of(frames.response, 1.0, noise).thresholds
             z = (thresholds[: table.shape[1]] - x) / sigma
@@ -93,16 +95,9 @@ class StepScores:
             safe = np.maximum(probability, _LEAST)
             table[...] = np.where(usual, rise / safe, -end * by)
             information += np.where(usual, rise**2 / safe, 0.0).sum(axis=1)
-        self.size = size
+        self.size, self._white = size, sensor.white
         self._inverse = (1 / np.maximum(information, 1e-30)).astype(np.float32)
         self.deviation = np.sqrt(self._inverse)
-        places = np.arange(size)
-        near = [np.clip(places + by, 0, size - 1) for by in (-_REACH, _REACH)]
-        variance, ends = (
-            np.diff([each.astype(np.float64)[k] for k in near], axis=0)[0]
-            for each in (self._inverse, lights)
-        )
-        self._shift = (variance / np.maximum(ends, 1e-300)).astype(np.float32)
 
     @staticmethod
     def fits(frames: FrameSet, sensor: SensorModel, lights: FloatArray) -> bool:
@@ -122,12 +117,12 @@ class StepScores:
             bins: place of a first light of each among the lights, (S,); it may be beyond the last
         """
         _, size, many = self._scores.shape
-        values = [np.minimum(each, many - 1) for each in values]
+        places = [np.minimum(each, many - 1) for each in values]
         bins = np.minimum(bins, size - 1)
         for _ in range(_ROUNDS):
             rows = bins * many
-            score = self._scores[0].ravel().take(rows + values[0])
-            for table, each in zip(self._scores[1:], values[1:], strict=True):
+            score = self._scores[0].ravel().take(rows + places[0])
+            for table, each in zip(self._scores[1:], places[1:], strict=True):
                 score += table.ravel().take(rows + each)
             light = self._lights.take(bins)
             E = light + score * self._inverse.take(bins)
@@ -135,8 +130,17 @@ class StepScores:
             bins = np.minimum(self._bins.of(E), size - 1)
         deviation = self.deviation.take(bins)
         meets = (np.abs(E - light) < deviation) & (bins < size - 1)
-        E += self._shift.take(bins)
+        E += self._shift(values, bins)
         return E, deviation, meets
+
+    def _shift(self, values: Sequence[NDArray[Any]], bins: NDArray[np.intp]) -> NDArray[np.float32]:
+        """Return dv/dE of the samples that are not saturated."""
+        information, growth = np.zeros((2, bins.size), np.float32)
+        for normal, rise, each in zip(self._normal, self._growth, values, strict=True):
+            is_measured = each < self._white
+            information += normal.take(bins) * is_measured
+            growth += rise.take(bins) * is_measured
+        return np.asarray(growth / np.square(np.maximum(information, np.float32(1e-15))))
 
 
 def _values(frames: FrameSet, sensor: SensorModel, lights: FloatArray) -> int:

@@ -130,3 +130,36 @@ def test_first_lights_beyond_the_table_of_scores_do_not_meet() -> None:
     assert np.isfinite(light).all()
     assert np.isfinite(deviation).all()
     assert not meets[1:].any()
+
+
+@pytest.mark.parametrize(
+    ("bits", "black", "exposures", "electrons", "read", "samples"),
+    [
+        # The longer frame is in range, and near saturation a smaller light says far less.
+        (4, 0, (1.0, 30.0), 200.0, 0.3, [(0, 12), (0, 13), (1, 14)]),
+        (4, 0, (1.0, 30.0), 3000.0, 0.05, [(0, 15), (4, 15), (10, 15)]),
+        # The longer frame is saturated: the light is above its full scale, and not much.
+        (4, 3, (1.0, 30.0), 100.0, 0.3, [(3, 18), (4, 18)]),
+        (4, 0, (1.0, 30.0), math.inf, 0.1, [(0, 15), (1, 15)]),
+    ],
+)
+def test_light_beside_full_scale_is_the_exact_posterior(
+    bits: int,
+    black: int,
+    exposures: tuple[float, ...],
+    electrons: float,
+    read: float,
+    samples: list[tuple[int, ...]],
+) -> None:
+    noise = FrameNoise(electrons, read, black=black)
+    frames = FrameSet(linear_response(bits), black, exposures, (noise,) * len(exposures))
+    values = [np.array(each, np.uint8) for each in zip(*samples, strict=True)]
+    total = np.asarray(np.sum(values, axis=0, dtype=np.uint16))
+    E, sd = light_tables(frames).estimate(values, total)
+    single = probabilities(frames)
+    for sample, light, deviation in zip(samples, E, sd, strict=True):
+        joint = np.prod([each[k] for k, each in zip(sample, single, strict=True)], axis=0)
+        mean = (joint * GRID).sum() / joint.sum()
+        least = math.sqrt((joint * (GRID - mean) ** 2).sum() / joint.sum())
+        assert abs(light - mean) < 0.15 * least, sample
+        assert 0.9 < deviation / least < 1.15, sample
