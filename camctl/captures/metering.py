@@ -131,8 +131,11 @@ class MeteringFrames:
         """
         if self._frame is None or self.last != setting:
             frame = self._shoot(setting)
-            if self._reference is not None and self._stays_at(self._reference, frame):
-                reference, frame = self._shoot(self._reference.requested), self._shoot(setting)
+            before = self._reference
+            # Frames that cannot be taken again, as photographs, are not those of a faulty camera.
+            is_checked = self.controls.repeatable
+            if before is not None and is_checked and self._stays_at(before, frame):
+                reference, frame = self._shoot(before.requested), self._shoot(setting)
                 if stays_s := self._stays_at(reference, frame):
                     raise self._not_following(reference.applied, frame.applied, stays_s)
             if self._reference is None or self._factor(self._reference, frame) >= _COMPARED_FACTOR:
@@ -253,6 +256,8 @@ def meter(source: MeteringFrames, *, small_aperture: bool = False) -> Metering:
             if above and target_s >= above:
                 target_s = math.sqrt(below * above)
         next_s = controls.time_s.nearest(min(max(target_s, shortest), longest))
+        if below is None and next_s == above:  # the next one of a list may be farther away
+            (next_s,) = controls.time_s.between(shortest, math.nextafter(above, 0.0), 1)
         if next_s in (below, above):
             break
         time_s = next_s

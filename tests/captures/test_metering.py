@@ -231,3 +231,36 @@ def test_lamps_clip_alone_where_they_are_apart(
     cut = light.highlights(LAMP_SHARE)
     assert 0.9 < cut < 1.0
     assert light.upper_end(None, None) == (1.0 if is_apart else cut)
+
+
+def photographs_of(levels: dict[float, int]) -> PhotographCamera:
+    """Return the camera of photographs of one brightness each, by their times, s."""
+    controls = ExposureControls(
+        time_s=Choices((1.0,)),
+        shape=(40, 50),
+        layout=Layout.MONO,
+        bits=8,
+        black=0,
+        white=255,
+        response=standard_response("srgb", 8),
+        response_origin=ResponseOrigin.STATED,
+    )
+    frames = [np.full((40, 50), level, np.uint8) for level in levels.values()]
+    photographs = [Photograph(f"{time_s:g}", time_s) for time_s in levels]
+    return PhotographCamera(photographs, frames.__getitem__, controls)
+
+
+def test_shortest_photograph_is_metered_where_the_next_one_is_far_longer() -> None:
+    metering = meter(MeteringFrames(photographs_of({1 / 4096: 180, 0.5: 255, 2.0: 255})))
+    assert metering.setting.time_s == 1 / 4096
+    assert metering.clipped == 0
+
+
+def test_photographs_are_not_a_camera_that_does_not_follow() -> None:
+    """Their exposures are checked where they are opened, and nobody can take them again."""
+    source = MeteringFrames(photographs_of({1 / 64: 40, 1.0: 41}))
+    assert [source.take(ExposureSetting(time_s)).pixels[0, 0] for time_s in (1 / 64, 1.0)] == [
+        40,
+        41,
+    ]
+    assert source.count == 2
