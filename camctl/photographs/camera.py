@@ -38,7 +38,7 @@ class Photograph:
     """One photograph, as its file or its user states it.
 
     Attributes:
-        name: of its file
+        name: of its file, as one visible line
         time_s: shutter time, s
         gain: linear gain, 1 for ISO 100
         f_number: f-number; None where it is not stated

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.errors import DataError
+from camctl.errors import DataError, visible
 from camctl.findings import Detail, Finding
 from camctl.interface.camera import CameraInfo, Pixels
 from camctl.interface.colour import BT709, CameraColour
@@ -35,9 +35,8 @@ def _exposure(path: Path, stated: StatedExposure, time_s: float | None) -> Photo
     if time_s is None:
         raise unknown_time(path)
     gain, iso = stated.gain or 1.0, None if stated.gain is None else round(100 * stated.gain, 6)
-    return Photograph(
-        path.name, time_s, gain, stated.f_number, stated.taken_at, iso, stated.flash_fired
-    )
+    name = visible(path.name)
+    return Photograph(name, time_s, gain, stated.f_number, stated.taken_at, iso, stated.flash_fired)
 
 
 @dataclass(frozen=True)
@@ -99,7 +98,7 @@ class PhotographFiles:
             if not any(self.taken_by):
                 self.taken_by = taken_by
             if any(taken_by[:2]):
-                cameras.setdefault(CameraInfo("", *taken_by, "").name, path.name)
+                cameras.setdefault(CameraInfo("", *taken_by, "").name, photograph.name)
             if found is None:
                 found = this
             _check_alike(path, this, self._paths[0], found)
@@ -206,7 +205,7 @@ class PhotographFiles:
         names = [each.name for each in self.photographs]
         if len(set(names)) < len(names):
             self.photographs = [
-                replace(each, name=str(path))
+                replace(each, name=visible(path))
                 for each, path in zip(self.photographs, self._paths, strict=True)
             ]
 
@@ -262,4 +261,5 @@ def _exr_exposure(path: Path, time_s: float | None) -> Photograph:
     time_s = stated_s if time_s is None else time_s
     if time_s is None:
         raise unknown_time(path)
-    return Photograph(path.name, time_s, 1.0 if iso is None else iso / 100, f_number, None, iso)
+    gain = 1.0 if iso is None else iso / 100
+    return Photograph(visible(path.name), time_s, gain, f_number, None, iso)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -32,6 +33,19 @@ def test_photographs_of_each_format_are_read(run: Run, series: Series, suffix: s
     ran = run("merge", *series(TIMES[::2], suffix), "-o", "hall")
     assert ran.status == 0, ran.err
     assert error_of("hall") < 0.04
+
+
+def test_names_of_files_are_visible_in_report_and_findings(run: Run, series: Series) -> None:
+    """A name that is not UTF-8 ended in an internal error once all was computed."""
+    names = series(TIMES[::3])
+    first, second = os.fsdecode(b"caf\xe9.png"), "two\nlines.png"
+    for old, new in zip(names, (first, second), strict=False):
+        Path(old).rename(new)
+    ran = run("merge", first, second, *names[2:], "-o", "hall")
+    assert ran.status == 0, ran.err
+    details = [each.details["file"] for each in read_report("hall").frames]
+    assert set(details) >= {"caf\\xe9.png", "two\\nlines.png"}
+    assert "caf\\xe9.png" in ran.out
 
 
 @pytest.mark.slow
