@@ -104,6 +104,21 @@ def error_of(estimate: ResponseEstimate | ResponseRecord, curve: Curve) -> float
     return float(min(errors))
 
 
+@pytest.mark.parametrize("name", ["s", "power"])
+def test_a_frame_that_shares_no_light_with_others_changes_nothing(name: str) -> None:
+    """A trend of its exposure was taken for an exponent of the others: errors were 100 times."""
+    pair = (4.0, 16.0)
+    alone, beside = (
+        estimate_response(
+            series_of(CURVES[name], exposures=each), is_scene_checked=False, exposure_error=0.05
+        )
+        for each in (pair, (*pair, pair[0] / 512))
+    )
+    assert error_of(alone, CURVES[name]) < 0.002
+    assert error_of(beside, CURVES[name]) < 0.002
+    assert beside.exposures[1] == pytest.approx(4, rel=0.02)
+
+
 def test_errors_that_are_alike_over_many_levels_do_not_bend_the_curve() -> None:
     series = Series(Layout.MONO, 8)
     for k, exposure in enumerate((1.0, 2.0, 4.0, 8.0, 16.0)):

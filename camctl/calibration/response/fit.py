@@ -14,7 +14,8 @@ bend, and where it is straight it shows p, which is the same everywhere.
 
 The exposures may be a little wrong, or hardly known.  Then there is an ambiguity (Mitsunaga and
 Nayar, "Radiometric Self Calibration", CVPR 1999): E^g fits exposures t^g as well, for every g.  The
-exposures that are given decide: their corrections have no trend with the logarithm of the exposure.
+exposures that are given decide: their corrections have no trend with the logarithm of the exposure,
+among frames that matches connect.
 `camctl.calibration.response.exponent` decides where they are not known.
 """
 
@@ -214,6 +215,7 @@ class _System:
         uncertain: (N,) variance of what noise shifts
         expected_alike: number of neighbouring matches that count as one
         starts: of the runs of matches of one pair and channel but the first
+        groups: of frames that matches connect, or a chart does
         frames, light, patches: the places of these unknowns
     """
 
@@ -268,6 +270,7 @@ class _System:
         self.expected_alike = matches.alike
         ends_run = (np.diff(matches.pairs) != 0) | (np.diff(matches.high) <= 0)
         self.starts = np.flatnonzero(ends_run) + 1
+        self.groups = connected(matches, logs.size) if chart is None else [np.arange(logs.size)]
         self.patch_error = np.zeros(0) if chart is None else chart.error
 
     def variance(self, edges: FloatArray, log_E: FloatArray) -> FloatArray:
@@ -298,16 +301,19 @@ class _System:
     def known_beforehand(self, logs: FloatArray, exposure_error: float) -> FloatArray:
         """Return the precision matrix of exposures, light and patches, (unknowns, unknowns).
 
-        The exposures have no error in the direction of the logarithms: that would be a power.
+        The exposures have no error in the direction of the logarithms: that would be a power.  In
+        each group of frames: what no match connects with them says nothing of their power.
         """
         light = np.array(CHART_LIGHT)[: self.light.stop - self.light.start]
         errors = np.concatenate([np.full(logs.size, exposure_error), light, self.patch_error])
         precision = np.zeros((self.size, self.size))
         precision[COEFFICIENTS:, COEFFICIENTS:] = np.diag(errors**-2.0)
-        power = logs - logs.mean()
-        if power.any():
-            block = np.outer(power, power) / (power @ power) / _TREND**2
-            precision[self.frames, self.frames] += block
+        for group in self.groups:
+            power = np.zeros(logs.size)
+            power[group] = logs[group] - logs[group].mean()
+            if power.any():
+                block = np.outer(power, power) / (power @ power) / _TREND**2
+                precision[self.frames, self.frames] += block
         return precision
 
 
@@ -371,8 +377,18 @@ def _prior(matches: Matches, logs: FloatArray, edges: FloatArray) -> _Prior:
         return _PRIORS["chart"]
     if edges[-1] < _MANY:
         return _PRIORS["few levels"]
-    is_far = np.median(np.diff(np.unique(logs))) > math.log(_FAR)
+    groups = connected(matches, logs.size)
+    steps = np.concatenate([np.diff(np.unique(logs[group])) for group in groups])
+    is_far = np.median(steps) > math.log(_FAR)
     return _PRIORS["far apart" if is_far else "many levels"]
+
+
+def connected(matches: Matches, count: int) -> list[NDArray[np.intp]]:
+    """Return the positions of the frames of each group that matches connect."""
+    group = np.arange(count)
+    for short, long in {*zip(matches.short.tolist(), matches.long.tolist(), strict=True)}:
+        group[group == group[long]] = group[short]
+    return [np.flatnonzero(group == each) for each in np.unique(group)]
 
 
 def _expected(bends: FloatArray, log_E: FloatArray | None) -> FloatArray:
