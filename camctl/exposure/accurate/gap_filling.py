@@ -230,6 +230,19 @@ class GapFilling:
                 break
         return row, error
 
+    def rounded(self, row: FloatArray, step: float) -> FloatArray:
+        """Return a set (n,) in whole steps of the exposure, down where it else takes too long.
+
+        Args:
+            row: natural logarithms of ascending exposures
+            step: distance of two exposures, relative to the shortest
+        """
+        longest = math.floor(math.expm1(self.reach) / step * (1 + SAME))
+        number = np.minimum(np.round(np.expm1(row) / step), longest)
+        if self.within.total(np.log1p(number * step)[np.newaxis])[0] > self.within.limit:
+            number = np.floor(np.expm1(row) / step + SAME)
+        return np.log1p(number * step)
+
     def stepped(self, row: FloatArray, step: float, most: int) -> FloatArray:
         """Return a set (n,) in whole steps of the exposure, of little error among its neighbours.
 
@@ -240,13 +253,10 @@ class GapFilling:
             step: distance of two exposures, relative to the shortest
             most: levels that are placed and sorted for this, at most
         """
-        longest = math.floor(math.expm1(self.reach) / step * (1 + SAME))
-        number = np.minimum(np.round(np.expm1(row) / step), longest)
-        if self.within.total(np.log1p(number * step)[np.newaxis])[0] > self.within.limit:
-            number = np.floor(np.expm1(row) / step + SAME)
-        moves = np.concatenate([-MOVES, MOVES])
+        row = self.rounded(row, step)
+        number, moves = np.round(np.expm1(row) / step), np.concatenate([-MOVES, MOVES])
         left = most // self.response.M
-        error, since, place = self.error(np.log1p(number * step)), 0, 0
+        error, since, place = self.error(row), 0, 0
         while since < row.size - 1 and left > 0:
             place = place % (row.size - 1) + 1
             trials, errors = self._moved(number, place, moves, step)

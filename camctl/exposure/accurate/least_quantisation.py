@@ -36,13 +36,14 @@ MORE = (0, 2)
 QUICK = ((3, 2), (1, 5))
 """How many of the best starts are improved, and by how many exchanges of exposures, in turn."""
 
-THOROUGH = ((16, 3), (8, 6), (4, 12), (2, 24), (1, 40))
+THOROUGH = ((12, 3), (6, 6), (3, 12), (2, 18), (1, 30))
 """The same where the search is thorough: the best of about ten such plans over 20 cases.  With
 other random numbers the levels of single cases differ by up to 10 %."""
 
 MOST_EXCHANGED = 40_000
 """Levels of the exposures that are exchanged, at most, in a set for all levels of the camera where
-fewer were searched with and the search is thorough."""
+fewer were searched with and the search is thorough; sets of more are not settled for all of them
+either, which is worth at most 0.2 % of their levels."""
 
 MOST_STEPPED = 2_000_000
 """Levels that are placed and sorted for the steps of the camera's times, at most, some 0.05 s; an
@@ -65,8 +66,8 @@ def least_quantisation(
     *,
     thorough: bool,
     start: Shots = (),
-) -> list[Shots]:
-    """Return sets of little quantisation error that take `limit` at most, at the lowest gain.
+) -> Shots | None:
+    """Return a set of little quantisation error that takes `limit` at most, at the lowest gain.
 
     The number of exposures is free: with noise in the quantiser's place, the estimate takes fewer.
 
@@ -89,11 +90,7 @@ def least_quantisation(
     for kept, exchanges in THOROUGH if thorough else QUICK:
         found = sorted(found, key=lambda each: each.error)[:kept]
         found = [each.improved(exchanges) for each in found]
-    is_fine = any(each.finer > 1 for each in found)
-    if is_fine and design.n > 1 and design.time <= limit * (1 + SAME):
-        # The steps of the times may not let the levels of many exposures interleave.
-        found.append(_start_from(search, search.shots(design), limit))
-    return [_shots(search, each, settles=thorough) for each in found]
+    return _best(search, found, design, settles=thorough) if found else None
 
 
 @dataclass(frozen=True)
@@ -174,23 +171,34 @@ def _with_distances(row: FloatArray, step: float, factor: float) -> FloatArray:
     return np.asarray(np.where(steps < CLOSE_STEPS * step, steps * factor, steps).cumsum())
 
 
-def _shots(search: DesignSearch, found: _Found, *, settles: bool) -> Shots:
-    """Return the set for all levels of the camera, in the steps of its times."""
-    row, step = found.row, search.problem.available.step
-    if found.finer > 1:
-        filling = replace(found.filling, response=search.problem.response)
-        reduced = _with_distances(row, interleave_step(found.filling.response), 1 / found.finer)
-        rated = [
-            filling.settled(each) if settles else (each, filling.error(each))
-            for each in (row, reduced)
-        ]
-        row, _ = min(rated, key=lambda each: each[1])
-        exchanges = MOST_EXCHANGED // (row.size * search.problem.response.M) if settles else 0
-        if exchanges:
-            row, _ = filling.improved(row, exchanges, found.rng)
-    else:
-        filling = found.filling
-    if step:
-        row = filling.stepped(row, step, MOST_STEPPED if settles else MOST_STEPPED // 8)
+def _best(search: DesignSearch, found: list[_Found], design: Design, *, settles: bool) -> Shots:
+    """Return the best of some sets for all levels of the camera, in the steps of its times.
+
+    Those searched with fewer levels are taken as they are and with their distances reduced, and
+    beside them `design`: the steps may not let the levels of many exposures interleave.
+    """
+    problem, step = search.problem, search.problem.available.step
+    finest = replace(found[0].filling, response=problem.response)
+
+    def least(rows: list[FloatArray]) -> FloatArray:
+        if len(rows) == 1:
+            return rows[0]
+        return min(rows, key=lambda row: finest.error(finest.rounded(row, step) if step else row))
+
+    rows, is_fine = [each.row for each in found], found[0].finer > 1
+    for each in found:
+        if each.finer > 1:
+            distance = interleave_step(each.filling.response)
+            rows.append(_with_distances(each.row, distance, 1 / each.finer))
+    own = finest.within.scaled(np.minimum(design.log_exposure, finest.reach)[np.newaxis])
+    own = own[: is_fine and design.n > 1]
+    kept = [least(rows), *own] if settles else [least([*rows, *own])]
+    most = MOST_STEPPED if settles else MOST_STEPPED // 8
+    for place, row in enumerate(kept):
+        exchanges = MOST_EXCHANGED // (row.size * problem.response.M)
+        if settles and is_fine and exchanges:
+            row, _ = finest.improved(finest.settled(row)[0], exchanges, found[0].rng)
+        kept[place] = finest.stepped(row, step, most) if step else row
+    row = least(kept)
     gain = float(search.gains[0])
     return tuple(Shot(e, e * search.base / gain, gain) for e in np.exp(row).tolist())

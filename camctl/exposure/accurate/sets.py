@@ -205,8 +205,8 @@ class AccurateSets:
                 found.append(self.judge(start))
             for search in dict.fromkeys(search for _, search in near if not search.is_list):
                 design = next(design for design, each in near if each is search)
-                sets = least_quantisation(search, design, limit, thorough=polished, start=start)
-                found += [self.judge(each) for each in sets]
+                least = least_quantisation(search, design, limit, thorough=polished, start=start)
+                found += [self.judge(least)] if least else []
             found = [self._in_steps(each, limit) for each in found]
         return max(found, key=lambda each: (each.levels, -each.time))
 
