@@ -104,6 +104,17 @@ def error_of(estimate: ResponseEstimate | ResponseRecord, curve: Curve) -> float
     return float(min(errors))
 
 
+@pytest.mark.parametrize("exposures", [(0.5, 4.0, 32.0), (1.0, 10.0)])
+@pytest.mark.parametrize("name", ["s", "srgb"])
+def test_curves_with_a_toe_and_a_shoulder_are_found_from_frames_far_apart(
+    name: str, exposures: tuple[float, ...]
+) -> None:
+    """With the smoothest curve alone the error of the first is 0.004 to 0.009."""
+    series = series_of(CURVES[name], exposures=exposures, brightness=0.5)
+    found = estimate_response(series, is_scene_checked=False, exposure_error=0.05)
+    assert error_of(found, CURVES[name]) < 0.002
+
+
 @pytest.mark.parametrize("name", ["s", "power"])
 def test_a_frame_that_shares_no_light_with_others_changes_nothing(name: str) -> None:
     """A trend of its exposure was taken for an exponent of the others: errors were 100 times."""

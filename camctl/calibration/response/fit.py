@@ -2,28 +2,29 @@
 
 With x = k / (M + 1), ln E = ln x + h(u), where h is a cubic spline and u = ln(x + 0.1) -
 ln(1.1 - x) / 2, so that the knots are close where curves bend most: at the toe and the shoulder.
-(With exposures far apart, few levels, or a chart alone, u is the first term alone.)  Linear
-cameras have a constant h, and E(0) = 0.  The fit is by weighted least squares, robust to outliers,
-under the condition that E ascends from level to level.  The prior knowledge is that h is smooth but
-for a few bends: small third derivatives (second ones, where exposures are far apart or there is
-only a chart) count by their squares, large ones by their size.  It is needed where the exposures
-are powers of one factor f: h + p with any p of period ln f in ln E explains the frames as well.  A
-bend that the prior rounds off would come back as such a p.  Therefore the last rounds expect as
-much curvature of each part of the curve as was found around it: where the curve has a bend it may
-bend, and where it is straight it shows p, which is the same everywhere.
+(With few levels, a chart alone, or exposures far apart that need no shoulder, u is the first term
+alone.)  Linear cameras have a constant h, and E(0) = 0.  The fit is by weighted least squares,
+robust to outliers, under the condition that E ascends from level to level.  The prior knowledge is
+that h is smooth but for a few bends: small third derivatives (second ones, where there is only a
+chart, or where exposures are far apart and such a curve explains them) count by their squares,
+large ones by their size.  It is needed where the exposures are powers of one factor f: h + p with
+any p of period ln f in ln E explains the frames as well.  A bend that the prior rounds off would
+come back as such a p.  Therefore the last rounds expect as much curvature of each part of the curve
+as was found around it: where the curve has a bend it may bend, and where it is straight it shows p,
+which is the same everywhere.
 
 The exposures may be a little wrong, or hardly known.  Then there is an ambiguity (Mitsunaga and
 Nayar, "Radiometric Self Calibration", CVPR 1999): E^g fits exposures t^g as well, for every g.  The
 exposures that are given decide: their corrections have no trend with the logarithm of the exposure,
-among frames that matches connect.
-`camctl.calibration.response.exponent` decides where they are not known.
+among frames that matches connect.  `camctl.calibration.response.exponent` decides where they are
+not known.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
@@ -32,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.limits import OUTLIER
+from camctl.calibration.response.colours import NUMBERS, score
 from camctl.calibration.response.matches import LEAST_PIXELS, NOISE_STEPS, Matches
 from camctl.calibration.response.spline import COEFFICIENTS, Knots, ascending
 from camctl.errors import DataError
@@ -98,6 +100,7 @@ class ResponseFit:
         residual: root mean square of the logarithm of matched irradiances, robust
         patch_errors: (P,) logarithm of the reflectance of each patch of a chart, as found, relative
             to the given one
+        score: how badly it explains the matches, as `camctl.calibration.response.colours.score`
     """
 
     edges: FloatArray
@@ -106,6 +109,7 @@ class ResponseFit:
     exposures: FloatArray
     residual: float
     patch_errors: FloatArray
+    score: float = 0.0
 
     @cached_property
     def light(self) -> FloatArray:
@@ -151,8 +155,26 @@ def fit_response(
             hint="shoot a scene with many shades, in steps of 2 to 4 times the exposure",
         )
     logs = np.log(exposures)
+    fits = [
+        _fit(matches, logs, edges, phase, exposure_error, chart, each)
+        for each in _priors(matches, logs, edges)
+    ]
+    best = min(fits, key=lambda fit: fit.score)
+    # Which curve it is is not certain either: the wider interval is stated.
+    return replace(best, deviation=np.max([fit.deviation for fit in fits], axis=0))
+
+
+def _fit(
+    matches: Matches,
+    logs: FloatArray,
+    edges: FloatArray,
+    phase: float,
+    exposure_error: float,
+    chart: ChartSamples | None,
+    prior: _Prior,
+) -> ResponseFit:
+    """Return the response by one prior; arguments as of `fit_response`."""
     x_known = (edges - phase) / (edges[-1] + 1)
-    prior = _prior(matches, logs, edges)
     system = _System(matches, logs, chart, (edges, phase), prior.knots)
     with_top = np.append(x_known, 1.0)
     whole = system.curve(with_top)
@@ -187,6 +209,7 @@ def fit_response(
         log_E = (curve - top) @ found + np.log(x_known)
         residuals = system.rows @ found - system.wanted
         bends = roughness @ found[:COEFFICIENTS]
+    left = float(misfit * weights @ residuals**2)
     if matches.low.size:
         square[:COEFFICIENTS, :COEFFICIENTS] -= (1 - _ROUGHER) * roughness.T @ smooth
     covariance = np.linalg.inv(square)
@@ -201,6 +224,7 @@ def fit_response(
         exposures=np.exp(logs + found[system.frames]),
         residual=float(np.sqrt(np.average(residuals**2, weights=weights))),
         patch_errors=found[system.patches],
+        score=score(left, round(np.sum(1 / system.alike)), prior.numbers),
     )
 
 
@@ -342,6 +366,7 @@ class _Prior(NamedTuple):
             the error of a round for curvature
         floor: relative error of a match that the histograms do not explain
         knots: of the spline
+        numbers: that it takes to describe a curve, beyond those of the smoothest prior
     """
 
     order: int
@@ -349,6 +374,7 @@ class _Prior(NamedTuple):
     adapted: int
     floor: float
     knots: Knots
+    numbers: int = 0
 
     def roughness(self) -> tuple[FloatArray, FloatArray]:
         """Return the rows that give the weighted derivatives of h, and the brightness of each."""
@@ -359,28 +385,29 @@ class _Prior(NamedTuple):
         return rows, np.interp(places, self.knots.before(fine), fine)
 
 
-#: Where only a chart says something about h; where exposures are so far apart that they show little
-#: of its curvature; of few levels, which show no shoulder; and of many levels.  The numbers are
-#: those of the least errors in tests/bench/bench_response.py.
-_PRIORS = {
-    "chart": _Prior(2, 1.0, 0, 0.003, Knots(0.0)),
-    "far apart": _Prior(2, 40.0, 0, 0.003, Knots(0.0)),
-    "few levels": _Prior(3, 0.01, 2, 0.001, Knots(0.0)),
-    "many levels": _Prior(3, 0.1, 2, 0.001, Knots(0.5)),
-}
+#: Where only a chart says something about h; of few levels, which show no shoulder; of many levels;
+#: and where exposures are so far apart that they show little of the curvature of h: there a curve
+#: with a toe and a shoulder must explain the frames better, as a response of more numbers.  The
+#: numbers are those of the least errors in tests/bench/bench_response.py.
+_CHART = _Prior(2, 1.0, 0, 0.003, Knots(0.0))
+_FEW_LEVELS = _Prior(3, 0.01, 2, 0.001, Knots(0.0))
+_MANY_LEVELS = _Prior(3, 0.1, 2, 0.001, Knots(0.5))
+_FAR_APART = (
+    _Prior(2, 40.0, 0, 0.003, Knots(0.0)),
+    _Prior(3, 1.0, 2, 0.003, Knots(0.5), NUMBERS),
+)
 #: Levels from which there are many, and the factor between exposures from which they are far apart.
 _MANY, _FAR = 60, 5.0
 
 
-def _prior(matches: Matches, logs: FloatArray, edges: FloatArray) -> _Prior:
+def _priors(matches: Matches, logs: FloatArray, edges: FloatArray) -> Sequence[_Prior]:
     if not matches.low.size:
-        return _PRIORS["chart"]
+        return [_CHART]
     if edges[-1] < _MANY:
-        return _PRIORS["few levels"]
+        return [_FEW_LEVELS]
     groups = connected(matches, logs.size)
     steps = np.concatenate([np.diff(np.unique(logs[group])) for group in groups])
-    is_far = np.median(steps) > math.log(_FAR)
-    return _PRIORS["far apart" if is_far else "many levels"]
+    return _FAR_APART if np.median(steps) > math.log(_FAR) else [_MANY_LEVELS]
 
 
 def connected(matches: Matches, count: int) -> list[NDArray[np.intp]]:
