@@ -16,13 +16,15 @@ from __future__ import annotations
 import ctypes
 import os
 import random
+import re
 import shutil
 import signal
 import stat
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeAlias
 
 _PTRACE_TRACEME, _PTRACE_CONT, _PTRACE_SETOPTIONS = 0, 7, 0x4200
 _PTRACE_GETEVENTMSG, _PTRACE_GET_SYSCALL_INFO = 0x4201, 0x420E
@@ -388,3 +390,33 @@ def _apply(change: _Change, entries: dict[str, int | None]) -> None:
         entries[operation.target] = change.inode
     else:
         entries[operation.path] = change.inode
+
+
+Kind: TypeAlias = tuple[str, str]
+"""Name of an operation, and of its file with 0 for each number."""
+
+SHARE = 3
+"""Of the kinds that are swept in another scenario one in so many is a crash point."""
+
+
+def kinds(operations: Sequence[Operation]) -> dict[Kind, int]:
+    """Return the number of the first operation of each kind on each kind of file."""
+    found: dict[Kind, int] = {}
+    for number, operation in enumerate(operations):
+        file = re.sub(r"[0-9]+", "0", Path(operation.path).name)
+        found.setdefault((operation.name, file), number)
+    return found
+
+
+def points(
+    operations: Sequence[Operation], *, every: bool, known: Collection[Kind] = ()
+) -> list[int]:
+    """Return the numbers of the operations before which the process is killed, and of the end.
+
+    They are all operations, or one of each kind; of `known` kinds one in `SHARE`.
+    """
+    first = kinds(operations)
+    shared = [kind for kind in first if kind in known]
+    left_out = set(shared) - set(shared[::SHARE])
+    chosen = [number for kind, number in first.items() if kind not in left_out]
+    return [*(range(len(operations)) if every else chosen), len(operations)]

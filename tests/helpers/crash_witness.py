@@ -9,9 +9,10 @@ of the cache.  What is acknowledged to the user goes to this process through a p
 outside of the folder: a frame that is saved (the pixels as the camera sent them), a value that is
 kept, and at the end, which is exit status 0, every file with its content.
 
-Crash points are the first operation of each kind on each kind of file, or all of them.  At each the
-folder is looked at as a kill leaves it, as a power failure leaves it at least, and N times as a
-power failure leaves it that kept a part of the later writes, in any order and torn (see
+Crash points are the first operation of each kind on each kind of file, or all of them; of the kinds
+that a fresh capture has, too, every third where that is not the scenario.  At each the folder is
+looked at as a kill leaves it, as a power failure leaves it at least, and N times as a power failure
+leaves it that kept a part of the later writes, in any order and torn (see
 `crash_points.PowerLoss`).  Then what the folder advises is done.  All that was acknowledged must be
 there.  Prints one JSON object for each check.  Folders with the same content, of which the same was
 acknowledged, are checked once.
@@ -28,9 +29,8 @@ import argparse
 import json
 import os
 import random
-import re
 import shutil
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from hashlib import sha256
@@ -42,7 +42,7 @@ import cv2
 import filelock  # noqa: F401  imported before the fork, once for all crash points
 import numpy as np
 from crash_mutations import MUTATIONS
-from crash_points import Operation, PowerLoss, run
+from crash_points import Kind, PowerLoss, kinds, points, run
 from crash_sweep import REQUEST, LyingCamera, checked, damaged, open_camera
 from small_cameras import WrappedCamera
 
@@ -375,6 +375,9 @@ SCENARIOS: dict[str, tuple[Act, Act, Callable[[Path, Acknowledged], list[str]]]]
 }
 """The folder before, the program that is killed, and what is wrong with the files afterwards."""
 
+CAPTURES = {"resume", "force", "retry", "series"}
+"""Scenarios that take a capture as "fresh" does."""
+
 
 class Sweep:
     """The crash points of one scenario, in a folder of its own."""
@@ -456,15 +459,6 @@ def _all_in(folder: Path) -> list[tuple[str, str]]:
     )
 
 
-def points(operations: Sequence[Operation], *, every: bool) -> list[int]:
-    """Return the numbers of the operations before which the process is killed, and of the end."""
-    kinds: dict[tuple[str, str], int] = {}
-    for number, operation in enumerate(operations):
-        file = re.sub(r"[0-9]+", "0", Path(operation.path).name)
-        kinds.setdefault((operation.name, file), number)
-    return [*(range(len(operations)) if every else kinds.values()), len(operations)]
-
-
 def noticed(base: Path, name: str) -> dict[str, Any]:
     """Return what a sweep finds where the order of the writes is broken."""
     sweep = Sweep(base, MUTATIONS[name].scenario, name)
@@ -488,8 +482,11 @@ def main() -> None:
         for place, name in enumerate(MUTATIONS):
             print(json.dumps(noticed(given.folder / str(place), name)), flush=True)
         return
-    sweep = Sweep(given.folder, given.scenario, None)
-    for point in points(sweep.operations, every=given.every):
+    known: Collection[Kind] = ()
+    if given.scenario in CAPTURES and not given.every:
+        known = kinds(Sweep(given.folder / "fresh", "fresh", None).operations).keys()
+    sweep = Sweep(given.folder / "here", given.scenario, None)
+    for point in points(sweep.operations, every=given.every, known=known):
         for found in sweep.at(point, given.torn):
             print(json.dumps(found), flush=True)
 
