@@ -14,7 +14,6 @@ import virtual_devices as rig
 from device_conformance import DeviceConformance
 from error_lines import one_line
 
-from camctl import read_report
 from camctl.errors import CameraError
 from camctl.interface.camera import Frame
 
@@ -42,13 +41,6 @@ RunCamctl = Callable[..., guest.CommandResult]
 
 class TestTiff(DeviceConformance):
     device = rig.COOLPIX
-
-
-def test_whole_capture(hub: rig.RecordingHub, camctl: RunCamctl) -> None:
-    done = camctl("shoot", *rig.camera_arguments(rig.COOLPIX), *rig.BRACKET, "-o", "bracket")
-    assert done.status == 0, done.err
-    assert all(frame.original for frame in rig.completed_frames("bracket"))
-    assert not rig.distrust_warnings(read_report(Path("bracket")))
 
 
 class TestFaults:
