@@ -16,6 +16,7 @@ from random import Random
 import click
 import pytest
 from command_bases import BASES, COMMANDS
+from command_line import Run
 from option_combinations import all_pairs, covering, pairs_of
 from resource_contract import COSTLY, combined_values, largest, line_of, lines, rows_of
 
@@ -52,19 +53,16 @@ def test_what_takes_longer_than_the_limit_says_so(name: str) -> None:
 
 
 @pytest.mark.parametrize("command", sorted({name.split(" -")[0] for name in COSTLY}))
-def test_what_takes_longer_than_the_limit_shows_its_progress(command: str, tmp_path: Path) -> None:
+def test_what_takes_longer_than_the_limit_shows_its_progress(
+    command: str, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
     line = [*command.split(), *BASES[command][0].split()]
     if command == "table show":
         line += ["--electrons", "40"]  # rows are solved
-    program = (
-        "import sys; from camctl.cli import main; "
-        f"sys.stderr.isatty = lambda: True; sys.exit(main({line!r}))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert re.search(r"\d+%", done.stderr)  # of a bar, which is blank at 0 % without colours
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    ran = run(*line)
+    assert ran.status == 0, ran.err
+    assert re.search(r"\d+%", ran.err)  # of a bar, which is blank at 0 % without colours
 
 
 def test_rows_of_combinations_hold_each_pair_of_values() -> None:
