@@ -195,7 +195,7 @@ class NoiseOptions:
     read_noise: float | None = declare(
         "--read-noise S",
         "Count read noise in: standard deviation of each frame in brightness levels.  [default: 0]",
-        Number("a noise from 0 to 64", least=0, most=64),
+        Number("a noise of at least 0", least=0),
     )
 
     def camera(self, real_camera: RealCameraOptions) -> KnownCamera:

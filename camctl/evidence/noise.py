@@ -27,7 +27,7 @@ from camctl.evidence.patch_noise import (
 )
 from camctl.evidence.patches import Patches
 from camctl.model.block_rounding import BlockRounding
-from camctl.model.distribution import MAX_READ_NOISE
+from camctl.model.distribution import most_read_noise
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Posterior
 from camctl.model.noise import FrameNoise, MeasuredNoise
@@ -269,7 +269,7 @@ def measure_noise(
     fit = fit_noise(response, samples, exposures, gains, noise[0].black)
     if fit is None:
         return None
-    camera = EffectiveCamera.of(response, exposures)
+    camera, most = EffectiveCamera.of(response, exposures), most_read_noise(response)
 
     def levels(found: _Floats) -> float:
         inverse, square = found.tolist()
@@ -277,7 +277,7 @@ def measure_noise(
             replace(
                 frame,
                 electrons_per_level=electrons_per_level(inverse) / gain,
-                read_noise_levels=min(_read_noise(square, gain, frame), MAX_READ_NOISE),
+                read_noise_levels=min(_read_noise(square, gain, frame), most),
             )
             for gain, frame in zip(gains, noise, strict=True)
         ]

@@ -10,7 +10,7 @@ import numpy as np
 
 from camctl.errors import UsageError, unknown_name
 from camctl.findings import Finding
-from camctl.model.distribution import check_noise
+from camctl.model.distribution import MOST_LEVELS, check_noise
 from camctl.model.effective import EffectiveCamera, effective_levels
 from camctl.model.inverse import posterior_of
 from camctl.model.noise import FrameNoise, NoiseModel
@@ -21,9 +21,6 @@ NOISE_KINDS: tuple[str, ...] = ("paper", "time", "aperture", "gain")
 
 MAX_SIGMA, MAX_WEIGHT = 1e3, 1e15
 """Largest sigma and weight of a noise term: far beyond use, and their product stays finite."""
-
-MOST_LEVELS = 1024
-"""Cameras of more levels are rated by fewer: the table of their sums would take seconds."""
 
 DITHERS = 0.5
 """Noise in steps from which a coarser quantiser is as accurate within 0.05 % (12 to 16 bits)."""
@@ -130,7 +127,7 @@ def predicted_mse(
     Raises:
         UsageError: there is not one noise for each exposure, or one is out of range
     """
-    check_noise(noise, len(camera.exposures), math.inf)  # fewer levels have less of it
+    check_noise(noise, len(camera.exposures), camera.response)
     camera, frames = coarser(camera, noise)
     return posterior_of(camera, desired, frames).mse
 
@@ -142,7 +139,7 @@ def noisy_effective_levels(
 
     Without noise it is `effective_levels`.  Arguments and errors as in `predicted_mse`.
     """
-    check_noise(noise, len(camera.exposures), math.inf)
+    check_noise(noise, len(camera.exposures), camera.response)
     if all(replace(frame, black=0) == _NOISELESS for frame in noise):
         return effective_levels(camera, desired)
     return float((12 * predicted_mse(camera, desired, noise)) ** -0.5)

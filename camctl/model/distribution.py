@@ -21,8 +21,11 @@ from camctl.model.effective import EffectiveCamera
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import CameraResponse, FloatArray
 
-MAX_READ_NOISE = 64.0
-"""Largest read noise in brightness levels; memory grows with it."""
+MOST_LEVELS = 1024
+"""Cameras of more levels are rated by fewer: the table of their sums would take seconds."""
+
+_MOST_NOISE = 64.0
+"""Largest read noise of a camera of up to `MOST_LEVELS`, levels; memory grows with it."""
 
 MIN_ELECTRONS = 1e-3
 """Least electrons per level: far below any sensor, and its photon noise stays finite."""
@@ -64,20 +67,25 @@ def normal_cdf(x: FloatArray) -> FloatArray:
     return np.asarray(place)
 
 
-def check_noise(noise: Sequence[FrameNoise], n: int, most_levels: float = MAX_READ_NOISE) -> None:
-    """Raise `UsageError` unless there is a valid noise for each of `n` exposures.
+def most_read_noise(response: CameraResponse) -> float:
+    """Return the largest read noise of a camera in its levels.
 
-    `most_levels` is the largest read noise: more than the limit where levels will become fewer.
+    It is the same share of full scale for all cameras that are rated by `MOST_LEVELS`.
     """
+    return _MOST_NOISE * max(1.0, (response.M + 1) / MOST_LEVELS)
+
+
+def check_noise(noise: Sequence[FrameNoise], n: int, response: CameraResponse) -> None:
+    """Raise `UsageError` unless there is a valid noise for each of `n` exposures."""
     if len(noise) != n:
         raise UsageError(
             f"invalid noise of {len(noise)} frames for {n} exposures: expected one for each"
         )
+    most = most_read_noise(response)
     for frame in noise:
-        if not 0 <= frame.read_noise_levels <= most_levels:
+        if not 0 <= frame.read_noise_levels <= most:
             raise UsageError(
-                f"invalid read noise of {frame.read_noise_levels:g} levels: expected 0 to "
-                f"{MAX_READ_NOISE:g}"
+                f"invalid read noise of {frame.read_noise_levels:g} levels: expected 0 to {most:g}"
             )
         if not frame.electrons_per_level >= MIN_ELECTRONS:
             raise UsageError(
@@ -165,7 +173,7 @@ class NoisySum:
     """
 
     def __init__(self, camera: EffectiveCamera, noise: Sequence[FrameNoise]) -> None:
-        check_noise(noise, len(camera.exposures))
+        check_noise(noise, len(camera.exposures), camera.response)
         self.camera = camera
         kinds = Counter(zip(camera.exposures, noise, strict=True))
         self.frames = [NoisyFrame.of(camera.response, *kind) for kind in kinds]

@@ -60,7 +60,7 @@ class FrameSet:
     fingerprint: str = ""
 
     def __post_init__(self) -> None:
-        check_noise(self.noise, len(self.exposures))
+        check_noise(self.noise, len(self.exposures), self.response)
         object.__setattr__(self, "fingerprint", self.response.fingerprint)
 
 

@@ -30,7 +30,7 @@ from camctl.evidence.patch_noise import electrons_per_level
 from camctl.evidence.patches import SIDE, Patches
 from camctl.interface.controls import Layout
 from camctl.model.block_rounding import BlockRounding
-from camctl.model.distribution import MAX_READ_NOISE
+from camctl.model.distribution import most_read_noise
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import posterior_of
 from camctl.model.light import Floats32, LightTables, is_certain, light_tables
@@ -400,21 +400,25 @@ def _frame_set(
             compression = max(compression, fit.compression_levels)
             file = file and replace(file, contrast=fit.contrast)
         inverse_square = stand_in if fit is None else fit.noise.tolist()
-        known = _frame_noise(inverse_square, (compression, file), black, gains)
+        known = _frame_noise(inverse_square, response, (compression, file), black, gains)
     elif compression or file:
         known = [replace(each, compression_levels=compression, file=file) for each in known]
     return FrameSet(response, black, tuple(exposures), tuple(known))
 
 
 def _frame_noise(
-    noise: Sequence[float], compressed: _Compressed, black: int, gains: Sequence[float]
+    noise: Sequence[float],
+    response: CameraResponse,
+    compressed: _Compressed,
+    black: int,
+    gains: Sequence[float],
 ) -> tuple[FrameNoise, ...]:
     inverse, square = noise
     electrons, read = electrons_per_level(inverse), math.sqrt(square)
     return tuple(
         FrameNoise(
             electrons / gain,
-            min(read * gain, MAX_READ_NOISE),
+            min(read * gain, most_read_noise(response)),
             black=black,
             compression_levels=compressed[0],
             file=compressed[1],
@@ -440,10 +444,11 @@ def _likelihood(
     certain = np.full(tables.deviation.shape, is_known)
     if fit is not None:
         compressed = frames.noise[0].compression_levels, frames.noise[0].file
-        others = [
-            replace(frames, noise=_frame_noise(each.tolist(), compressed, frames.black, gains))
+        noises = (
+            _frame_noise(each.tolist(), frames.response, compressed, frames.black, gains)
             for each in fit.neighbours
-        ]
+        )
+        others = [replace(frames, noise=each) for each in noises]
         certain = is_certain(frames, others, _MOST_UNCERTAIN)
     is_all_certain = bool(certain.all())
     full = np.float32(frames.response.levels[-1])

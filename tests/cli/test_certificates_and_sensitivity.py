@@ -215,8 +215,8 @@ def test_a_sensor_excludes_the_options_that_describe_another_camera(run: Run) ->
             "--electrons 0",
             "invalid value for --electrons: 0; expected a number of electrons of at least 0.001",
         ),
-        ("--read-noise -1", "invalid value for --read-noise: -1; expected a noise from 0 to 64"),
-        ("--read-noise 65", "invalid value for --read-noise: 65; expected a noise from 0 to 64"),
+        ("--read-noise -1", "invalid value for --read-noise: -1; expected a noise of at least 0"),
+        ("--read-noise 65", "invalid read noise of 65 levels: expected 0 to 64"),
     ],
 )
 def test_invalid_noise_is_one_line(run: Run, line: str, message: str) -> None:

@@ -380,6 +380,21 @@ def test_the_offset_of_a_short_exposure_contradicts_no_longer_one() -> None:
     assert np.median((np.abs(found.irradiance - light) / light)[usable]) < 0.1
 
 
+def test_noise_of_hundreds_of_16_bit_levels_is_measured() -> None:
+    """An EMCCD or an InGaAs camera has it: 30 electrons, a tenth of an electron a level."""
+    rng = np.random.default_rng(5)
+    light = np.tile(np.geomspace(0.004, 0.9, 256), (128, 1))
+    frames = []
+    for exposure in (1, 4, 16):
+        levels = rng.poisson(light * exposure * 61536 * 0.1) / 0.1
+        levels += rng.normal(0, 300, light.shape) + 4000
+        frames.append(np.clip(np.floor(levels), 0, 65535).astype(np.uint16))
+    found = camctl.combine(frames, (1, 4, 16), black=4000, white=65535)
+    z = ((found.irradiance - light) / found.sd)[found.mask == 0]
+    assert 0.97 < z.std() < 1.03
+    assert np.mean(found.mask & 4 > 0) < 0.002
+
+
 def test_two_levels_are_few_and_enough() -> None:
     frames = [np.array([[8, 9], [10, 9]], np.uint8), np.array([[8, 10], [10, 9]], np.uint8)]
     found = camctl.combine(frames, (1.0, 1.5), black=8, white=10, noise=FrameNoise(math.inf, 0.0))
