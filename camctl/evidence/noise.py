@@ -276,7 +276,7 @@ def measure_noise(
         frames = [
             replace(
                 frame,
-                electrons_per_level=electrons_per_level(inverse) / gain,
+                electrons_per_level=electrons_per_level(inverse * gain),
                 read_noise_levels=min(_read_noise(square, gain, frame), most),
             )
             for gain, frame in zip(gains, noise, strict=True)

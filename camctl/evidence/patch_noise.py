@@ -36,7 +36,7 @@ _Floats = NDArray[np.float64]
 
 
 def electrons_per_level(inverse: float) -> float:
-    """Return the electrons of a level from their measured inverse, infinite for 0."""
+    """Return the electrons of a level from their measured inverse at the gain, infinite for 0."""
     return max(1 / inverse, MIN_ELECTRONS) if inverse > 0 else math.inf
 
 
@@ -86,9 +86,10 @@ class VarianceModel:
             noise: inverse electrons per level, and squared read noise, at gain 1
         """
         inverse, square = noise.tolist()
-        electrons, read = electrons_per_level(inverse), math.sqrt(square)
+        read = math.sqrt(square)
         tables = [
-            self._moments.table(FrameNoise(electrons / gain, read * gain)) for gain in self._gains
+            self._moments.table(FrameNoise(electrons_per_level(inverse * gain), read * gain))
+            for gain in self._gains
         ]
         scale = np.array([[self._full], [self._full**2], [self._full**2]])
         return np.asarray(np.concatenate(tables, axis=1) * scale)

@@ -414,10 +414,10 @@ def _frame_noise(
     gains: Sequence[float],
 ) -> tuple[FrameNoise, ...]:
     inverse, square = noise
-    electrons, read = electrons_per_level(inverse), math.sqrt(square)
+    read = math.sqrt(square)
     return tuple(
         FrameNoise(
-            electrons / gain,
+            electrons_per_level(inverse * gain),
             min(read * gain, most_read_noise(response)),
             black=black,
             compression_levels=compressed[0],

@@ -147,6 +147,15 @@ def test_moving_objects_do_not_count_as_noise() -> None:
     assert found.effective_levels == pytest.approx(expected.effective_levels, rel=0.03)
 
 
+def test_noise_is_limited_at_the_gain_of_each_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Photographs of ISO 200 in a wrong response ended in an invalid number of electrons."""
+    found = noise.NoiseFit(np.array([2000.0, 1.0]), [np.array([2500.0, 1.0])], 100, 0.0, 1.0)
+    monkeypatch.setattr(noise, "fit_noise", lambda *_: found)
+    stated = [FrameNoise(np.inf, 0.0)] * 3
+    measured = measure_noise(RESPONSE, LOG, patches(LIGHT, 40.0), EXPOSURES, stated, [2.0] * 3)
+    assert measured is None or measured.effective_levels > 0
+
+
 def test_uncertainty_is_the_scatter_of_repeated_captures() -> None:
     found = [measure(patches(LIGHT[::4], 40.0, seed)) for seed in range(16)]
     levels = [each.effective_levels for each in found if each is not None]
