@@ -190,7 +190,7 @@ def _print(report: CaptureReport, found: MergePlan, directory: Path, *, as_json:
             each["file"],
             format_duration(each["time_s"]),
             *(text(each[key]) for _, key, text in more),
-            "used" if each["used"] else f"not needed: {each['why_not']}",
+            "used" if each["used"] else f"not used: {each['why_not']}",
         )
         for each in photographs
     ]

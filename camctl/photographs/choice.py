@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from camctl.captures.metering import meter_light
 from camctl.captures.plan import plan_capture
+from camctl.errors import UsageError
 from camctl.evidence.noise import fit_noise
 from camctl.evidence.patches import Patches
 from camctl.evidence.quantiles import NORMAL_MAD
@@ -87,7 +88,7 @@ def plan_photographs(
         UsageError, CaptureError: as `plan_capture`
     """
     if request.ratios is not None and darkest is None:
-        return plan_capture(camera, request), request
+        return _plan_of_ratios(camera, request), request
     light = meter_light(camera, request)
     times = sorted(camera.times_s)
     limit_s = longest_base_s(request, light)
@@ -102,7 +103,7 @@ def plan_photographs(
     if darkest is not None:
         request = replace(request, dynamic_range=_rounded_range(1 / (base_s * darkest)))
         if request.ratios is not None:
-            return plan_capture(camera, request), request
+            return _plan_of_ratios(camera, request), request
     if is_all:
         chosen = tuple(ExposureSetting(each, 1.0) for each in _most(times))
     else:
@@ -119,6 +120,24 @@ def plan_photographs(
     if light is not None:
         light = light.up_to(chosen[0].time_s)
     return plan_capture(camera, asked, light=light), asked
+
+
+def _plan_of_ratios(camera: PhotographCamera, request: CaptureRequest) -> CapturePlan:
+    """Return the plan of the photographs nearest to the exposures that are asked for.
+
+    Raises:
+        UsageError: two of them are the same, whose noise would count as if it were of two
+    """
+    plan = plan_capture(camera, request)
+    used = camera.chosen(plan.settings)
+    if twice := [k for k in used if used.count(k) > 1]:
+        raise UsageError(
+            f"{camera.photographs[twice[0]].name} is nearest to {used.count(twice[0])} of the exposures, "
+            "and can be used once",
+            hint="give one exposure for each photograph",
+            remedies={"ratios": None},
+        )
+    return plan
 
 
 def _most(times_s: list[float]) -> list[float]:
@@ -184,7 +203,13 @@ def why_unused(camera: PhotographCamera, plan: CapturePlan) -> dict[int, str]:
             reasons[position] = f"shorter than {name}, in which few enough highlights saturate"
         elif exposure > exposures[last]:
             name = camera.photographs[last].name
-            reasons[position] = f"longer than {name}, which shows the darkest light of the range"
+            is_shown = plan.light is not None and plan.light.dark <= _SHADOWS
+            why = (
+                "which shows the darkest light of the range"
+                if is_shown
+                else "the longest one chosen"
+            )
+            reasons[position] = f"longer than {name}, {why}"
         else:
             reasons[position] = "what it shows is in those that are used"
     return reasons

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +92,10 @@ def test_colours_of_jpeg_photographs_are_those_of_the_scene(run: Run) -> None:
         ("p00.png p01.png --times 1,2 --white 10 --black 20", "invalid levels: black 20"),
         ("p00.png p01.png --times 1.234,2 --labels dial", "the times are not the labels"),
         ("p00.png p01.png --times 1,2 --curve nothing", "unknown camera response 'nothing'"),
+        (
+            "p00.png p01.png --times 1,2 --curve srgb --ratios 1,1.1",
+            "p00.png is nearest to 2 of the exposures, and can be used once; give one exposure for",
+        ),
         ("--times 1,2", "argument FILES... is missing"),
     ],
 )
@@ -102,6 +107,14 @@ def test_what_cannot_be_merged_is_refused(
     assert ran.status in (1, 2)
     assert ran.error.startswith(message)
     assert not Path("hall").exists()
+
+
+def test_a_photograph_is_not_said_to_show_what_is_too_dark(run: Run, series: Series) -> None:
+    line = series(TIMES[::2])
+    ran = run("merge", *line, "--curve", "srgb", "--ratios", "1,4", "-o", "hall")
+    assert ran.status == 0, ran.err
+    assert re.search(r"not used: longer than p\d+.png, the longest one chosen", ran.out)
+    assert "shows the darkest" not in ran.out
 
 
 def test_json_of_the_folder_is_a_report(run: Run, series: Series) -> None:
