@@ -131,9 +131,9 @@ def _plan_of_ratios(camera: PhotographCamera, request: CaptureRequest) -> Captur
     plan = plan_capture(camera, request)
     used = camera.chosen(plan.settings)
     if twice := [k for k in used if used.count(k) > 1]:
+        name, count = camera.photographs[twice[0]].name, used.count(twice[0])
         raise UsageError(
-            f"{camera.photographs[twice[0]].name} is nearest to {used.count(twice[0])} of the exposures, "
-            "and can be used once",
+            f"{name} is nearest to {count} of the exposures, and can be used once",
             hint="give one exposure for each photograph",
             remedies={"ratios": None},
         )
