@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from camctl.errors import unknown_name
+from camctl.evidence.light_ratio import FrameSample, NeighbourCheck
 from camctl.evidence.lost_detail import LEVELS, Steps, file_steps
 from camctl.evidence.movement import Movement, find_movement
 from camctl.evidence.patches import Patches, sample_patches
@@ -124,11 +125,12 @@ def combine(
         parts, relative, known, samples, black=black, unit=shortest, method=method, steps=steps
     )
     found = _combined(light, pictures, black)
-    findings = []
+    findings: list[Finding] = []
     if method != "sum":
         # Developed colours have errors at edges, too: they are measured where noise is unknown.
         shown = known if known or kind is Layout.RGB or not light.noise else light.noise[0]
-        for movement, view in _movements(pictures, parts, relative, shown, samples, black):
+        ratios, findings = _ratios(parts, relative, shown, samples, black)
+        for movement, view in _movements(pictures, parts, relative, shown, samples, black, ratios):
             marks = view(found.mask)
             marks |= movement.rows(0, len(marks)) * np.uint8(CONTRADICTING)
             findings += movement.found.findings
@@ -160,6 +162,45 @@ def _combined(light: FrameLight, pictures: list[NDArray[Any]], black: int) -> Co
     return Combination(irradiance, sd, mask, total.total, light.noise, ())
 
 
+def _ratios(
+    parts: list[Part],
+    exposures: Sequence[float],
+    noise: Sequence[FrameNoise] | None,
+    samples: list[Patches],
+    black: int,
+) -> tuple[dict[tuple[int, int], float], list[Finding]]:
+    """Return the ratios of light of frames that do not fit their exposures, and that they do not.
+
+    Frames are neighbours in exposure, the shorter one first; things that moved change a part.
+    """
+    if len({part.response.fingerprint for part in parts}) > 1:
+        return {}, []
+    check = NeighbourCheck(parts[0].response, black, pairs=len(exposures) - 1)
+    shots = [
+        FrameSample(each, None if noise is None else noise[k]) for k, each in enumerate(samples)
+    ]
+    ratios, findings = {}, []
+    for before, after in pairwise(np.argsort(exposures, kind="stable").tolist()):
+        found = check.compare(shots[before], shots[after], exposures[after] / exposures[before])
+        if not found.is_of_whole_picture or found.measured is None:
+            continue
+        ratios[before, after] = found.measured
+        findings.append(
+            Finding(
+                code="exposure_differs",
+                frames=(before, after),
+                value=found.measured / found.expected,
+                details={
+                    "expected": found.expected,
+                    "certain": found.contradicts,
+                    "name": f"frame {after + 1}",
+                    "before": f"frame {before + 1}",
+                },
+            )
+        )
+    return ratios, findings
+
+
 def _movements(
     pictures: list[NDArray[Any]],
     parts: list[Part],
@@ -167,6 +208,7 @@ def _movements(
     noise: Sequence[FrameNoise] | None,
     samples: list[Patches],
     black: int,
+    ratios: dict[tuple[int, int], float],
 ) -> list[tuple[Movement, _View]]:
     """Return where the frames contradict each other, and which samples that is about.
 
@@ -190,7 +232,7 @@ def _movements(
                 sensor,
                 short,
                 long,
-                long.exposure / short.exposure,
+                ratios.get((short.position, long.position), long.exposure / short.exposure),
                 (patches[short.position], patches[long.position]),
                 colours,
             )

@@ -380,6 +380,29 @@ def test_the_offset_of_a_short_exposure_contradicts_no_longer_one() -> None:
     assert np.median((np.abs(found.irradiance - light) / light)[usable]) < 0.1
 
 
+@pytest.mark.parametrize("noise", [None, FrameNoise(20.0, 0.8)])
+@pytest.mark.parametrize("times", [(1, 4, 16), (16, 1, 4), (1, 1)])
+def test_an_exposure_that_is_5_percent_longer_is_found(
+    times: tuple[int, ...], noise: FrameNoise | None
+) -> None:
+    rng = np.random.default_rng(5)
+    light = np.tile(np.geomspace(0.004, 0.9, 256), (128, 1))
+    true = [*times[:-1], 1.05 * times[-1]]
+    for exposures, factors in ((times, ()), (true, (1.05,))):
+        levels = [rng.poisson(light * each * 256 * 20) / 20 for each in exposures]
+        read = [each + rng.normal(0, 0.8, light.shape) for each in levels]
+        frames = [np.clip(np.floor(each), 0, 255).astype(np.uint8) for each in read]
+        found = camctl.combine(frames, times, noise=noise).findings
+        differs = [each for each in found if each.code == "exposure_differs"]
+        assert {len(times) - 1} & {k for each in differs for k in each.frames} == (
+            {len(times) - 1} if factors else set()
+        )
+        for each in differs:
+            assert each.value is not None
+            assert max(each.value, 1 / each.value) == pytest.approx(1.05, abs=0.01)
+        assert "moved" not in [each.code for each in found]
+
+
 def test_noise_of_hundreds_of_16_bit_levels_is_measured() -> None:
     """An EMCCD or an InGaAs camera has it: 30 electrons, a tenth of an electron a level."""
     rng = np.random.default_rng(5)
