@@ -83,6 +83,7 @@ class ShotLog:
         settles = controls.timing is not None and controls.timing.old_frames > 0
         self.has_delay = controls.delay_frames is not None or settles
         self._sequences: list[tuple[int, ...]] = []
+        self._written: list[list[float]] = []  # exposures in each sequence, and the one at rest
         self._settled_from: int | None = None  # the first sequence in which the camera settled
         self._scores = Explanations(controls, len(settings) - 1, compare, brightness)
         self._found: dict[tuple[int, int], DelayError | None] = {}
@@ -99,6 +100,10 @@ class ShotLog:
     def begin(self, positions: Sequence[int]) -> None:
         """Record that the frames at `positions` are shot now, in one sequence."""
         self._sequences.append(tuple(positions))
+        settings = [self._settings[position] for position in positions]
+        rest = resting_setting(self._controls, settings)
+        written = (*settings, *([] if rest is None else [rest]))
+        self._written.append([self._controls.exposure(each) for each in written])
 
     def find(self) -> DelayError | None:
         """Return the error of the control delay that the shots show, all of which are there.
@@ -201,7 +206,7 @@ class ShotLog:
         delay = self._controls.delay_frames or 0
         wanted = place - shift
         while True:
-            written = self._written(number)
+            written = self._written[number]
             if wanted >= 0:
                 return Had(written[min(wanted, len(written) - 1)])
             if number == 0:
@@ -209,14 +214,6 @@ class ShotLog:
             # The next sequence begins when the last frame of the one before it is here.
             number -= 1
             wanted += len(self._sequences[number]) + delay + pause
-
-    def _written(self, number: int) -> list[float]:
-        """Return the exposures that were written in a sequence, the one at rest included."""
-        settings = [self._settings[position] for position in self._sequences[number]]
-        rest = resting_setting(self._controls, settings)
-        return [
-            self._controls.exposure(each) for each in (*settings, *([] if rest is None else [rest]))
-        ]
 
     def _old(self, numbers: Sequence[int]) -> _Late:
         """Return that shots of some sequences have their exposures or those written before them.
@@ -226,7 +223,7 @@ class ShotLog:
         written: list[float] = []
         had: list[list[Had]] = []
         for number, sequence in enumerate(self._sequences):
-            exposures = self._written(number)
+            exposures = self._written[number]
             oldest = _MOST_OLD if number in numbers else 0
             for place in range(len(sequence)):
                 known = [*written, *exposures[: place + 1]][-1 - oldest :]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from itertools import chain, pairwise
 from typing import NamedTuple
 
@@ -69,7 +70,7 @@ class Explanations:
         ranges = (controls.time_s, controls.gain, controls.f_number, controls.f_number)
         self._range = sum(math.log(each.maximum / each.minimum) for each in ranges if each)
         self._sigmas = significant_sigmas(pairs)
-        self._compare, self._brightness = compare, brightness
+        self._compare, self._brightness = compare, cache(brightness)
         self._checks: dict[tuple[float, ...], RatioCheck] = {}
 
     def score(
