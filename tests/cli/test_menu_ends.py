@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -110,6 +111,7 @@ def test_menu_that_ends_during_a_capture_keeps_the_frames(
     # The capture is not asked to stop before: after its first frame it would end with that one.
     while not (folder.parent / "second-frame").exists():
         assert terminal.process.poll() is None
+        time.sleep(0.005)
     if end_with.startswith("closed"):
         terminal.hang_up()
     else:
