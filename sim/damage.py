@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.interface.camera import Pixels
+from camctl.system.library_output import quiet_libraries
 from camctl.system.picture_operations import jpeg, required_opencv
 
 _GREEN = (0, 135, 0)
@@ -76,7 +77,8 @@ def _broken_jpeg(pixels: Pixels, white: int, random: np.random.Generator) -> Non
     first = begin + int((data.size - begin) * random.uniform(0.4, 0.6))
     broken = np.concatenate((data[:first], data[first + max(1, (data.size - begin) // 20) :]))
     kind = cv2.IMREAD_COLOR_RGB if pixels.ndim == 3 else cv2.IMREAD_GRAYSCALE
-    right, wrong = cv2.imdecode(data, kind), cv2.imdecode(broken, kind)
+    with quiet_libraries():
+        right, wrong = cv2.imdecode(data, kind), cv2.imdecode(broken, kind)
     if wrong is None:  # nothing can be decoded of it
         wrong = np.full_like(right, 128)
     changed = right != wrong

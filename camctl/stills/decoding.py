@@ -222,7 +222,8 @@ def _read_png(data: bytes, name: str) -> Still:
     size = None
     for kind, start, end in png_chunks(data):
         if zlib.crc32(memoryview(data)[start - 4 : end]) != int.from_bytes(data[end : end + 4]):
-            raise _damaged(name, f"the checksum of its chunk {kind!r} is wrong")
+            kind_name = kind.decode("latin-1")
+            raise _damaged(name, f"the checksum of its chunk {kind_name} is wrong")
         if kind == b"IHDR" and end - start == 13:
             columns, rows = struct.unpack_from(">II", data, start)
             size = (rows, columns)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from functools import lru_cache
 
@@ -46,6 +48,18 @@ def found(scene: str, sensor: str, second: Pixels | None = None, ratio: float = 
     rows, columns, _ = patch_places(planes[0].shape, len(planes))
     one, other = (light_limits(each, check.scale) for each in pair)
     return wrong_lines((one, other), ratio, (rows.size, columns.size))
+
+
+def test_a_broken_jpeg_file_prints_nothing() -> None:
+    pytest.importorskip("cv2", reason="OpenCV is blocked")
+    lines = (
+        "import numpy as np",
+        "from camctl.sim.damage import damaged",
+        "pixels = (np.indices((40, 60)).sum(axis=0) * 3).astype(np.uint8)",
+        "for seed in range(4): damaged(pixels, 'jpeg', seed, 255)",
+    )
+    ran = subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, check=True)
+    assert (ran.stdout, ran.stderr) == (b"", b"")
 
 
 @pytest.mark.parametrize("kind", sorted(set(DAMAGES) - {"corrupt"}))

@@ -158,6 +158,13 @@ def test_raw_without_rawpy_is_an_error_with_the_remedy(monkeypatch: pytest.Monke
         read_still(FILES["a.dng"], "a.dng")
 
 
+def test_a_wrong_checksum_is_named_with_its_chunk() -> None:
+    data = bytearray(FILES["a.png"])
+    data[data.index(b"IDAT") + 8] ^= 1
+    with pytest.raises(CameraProtocolError, match="the checksum of its chunk IDAT is wrong"):
+        read_still(bytes(data), "a.png")
+
+
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_cut_short_is_rejected(name: str) -> None:
     data = FILES[name]
