@@ -87,6 +87,11 @@ def check_noise(noise: Sequence[FrameNoise], n: int, response: CameraResponse) -
             raise UsageError(
                 f"invalid read noise of {frame.read_noise_levels:g} levels: expected 0 to {most:g}"
             )
+        for name in ("dark_levels", "dsnu_levels", "prnu"):
+            if not 0 <= getattr(frame, name) < math.inf:
+                raise UsageError(
+                    f"invalid {name} {getattr(frame, name):g}: expected a finite number >= 0"
+                )
         if not frame.electrons_per_level >= MIN_ELECTRONS:
             raise UsageError(
                 f"invalid number of electrons per level {frame.electrons_per_level:g}: expected at "

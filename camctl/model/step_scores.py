@@ -59,7 +59,7 @@ class StepScores:
         self._lights = lights.astype(np.float32)
         information = np.zeros(lights.size)
         # Of a sample that is not saturated, as if the quantiser's error were normal, too.
-        self._normal, self._growth = np.empty((2, len(frames.noise), lights.size), "f4")
+        self._normal, self._growth = np.empty((2, len(frames.noise), lights.size))
         self._scores = np.empty(
             (len(frames.noise), lights.size, _values(frames, sensor, lights)), "f4"
         )
@@ -96,7 +96,9 @@ class StepScores:
             table[...] = np.where(usual, rise / safe, -end * by)
             information += np.where(usual, rise**2 / safe, 0.0).sum(axis=1)
         self.size, self._white = size, sensor.white
-        self._inverse = (1 / np.maximum(information, 1e-30)).astype(np.float32)
+        # Within a sharp step there is none.  A round changes the light by a factor at most.
+        information = np.maximum(information, np.square(1e-6 / lights))
+        self._inverse = (1 / information).astype(np.float32)
         self.deviation = np.sqrt(self._inverse)
 
     @staticmethod
@@ -135,12 +137,12 @@ class StepScores:
 
     def _shift(self, values: Sequence[NDArray[Any]], bins: NDArray[np.intp]) -> NDArray[np.float32]:
         """Return dv/dE of the samples that are not saturated."""
-        information, growth = np.zeros((2, bins.size), np.float32)
+        information, growth = np.zeros((2, bins.size))
         for normal, rise, each in zip(self._normal, self._growth, values, strict=True):
             is_measured = each < self._white
             information += normal.take(bins) * is_measured
             growth += rise.take(bins) * is_measured
-        return np.asarray(growth / np.square(np.maximum(information, np.float32(1e-15))))
+        return np.asarray(growth / np.square(np.maximum(information, 1e-15)), np.float32)
 
 
 def _values(frames: FrameSet, sensor: SensorModel, lights: FloatArray) -> int:

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from camctl.errors import DataError, UsageError
+from camctl.errors import DataError, UsageError, unknown_name
 from camctl.interface.controls import Layout
 from camctl.model.noise import FrameNoise, NoiseModel
 from camctl.model.response.camera import CameraResponse, linear_response, standard_response
@@ -50,6 +50,8 @@ def checked_frames(frames: Iterable[ArrayLike], exposures: Sequence[float]) -> l
 
 def white_level(dtype: np.dtype[Any], response: Response, black: int, white: int | None) -> int:
     """Return the brightness from which samples are saturated."""
+    if not isinstance(response, str | CameraResponse) and len(response) not in (1, 3):
+        raise UsageError(f"invalid response of {len(response)} curves: expected 1, or 3 of R, G, B")
     if white is None and not isinstance(response, str):
         first = response if isinstance(response, CameraResponse) else response[0]
         white = black + first.M
@@ -75,8 +77,6 @@ def channel_responses(response: Response, black: int, white: int) -> tuple[Camer
     if isinstance(response, str):
         return (standard_response(response, 16, levels=levels),)
     found = (response,) if isinstance(response, CameraResponse) else tuple(response)
-    if len(found) not in (1, 3):
-        raise UsageError(f"invalid response of {len(found)} curves: expected 1, or 3 of R, G, B")
     for each in found:
         if levels != each.M:
             raise UsageError(
@@ -98,7 +98,11 @@ def frame_layout(shape: Sequence[int], count: int, layout: Layout | str | None) 
     """Return the layout of frames of that shape with `count` responses."""
     if len(shape) == 3:
         return Layout.RGB
+    if layout is not None and layout not in tuple(Layout):
+        raise unknown_name("layout", str(layout), Layout)
     found = Layout.MONO if layout is None else Layout(layout)
+    if found is Layout.RGB:
+        raise UsageError("frames of one channel have no layout rgb", hint="give rggb or the like")
     if count > 1 and not found.is_mosaic:
         raise UsageError(
             "three responses for frames of one channel", hint="give the layout, such as rggb"
