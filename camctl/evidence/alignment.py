@@ -37,6 +37,8 @@ _ALIKE = 4 * math.pi * _BLUR**2
 _RANKS = 1024
 #: Steps of a fit at each size, at most.
 _STEPS = 8
+#: Values that OpenCV finds in a line, at most.
+_MOST_IN_LINE = 32767
 #: Standard deviations at which a residual counts half: Cauchy's weights are then as exact as least
 #: squares of 95 % of the samples (Holland and Welsch, 1977).
 _CAUCHY = 2.385
@@ -182,13 +184,13 @@ class _Level:
         height, width = (length // _BLOCKS for length in steep.shape)
         blocks = steep[: _BLOCKS * height, : _BLOCKS * width]
         blocks = blocks.reshape(_BLOCKS, height, _BLOCKS, width)
-        blocks = blocks.transpose(0, 2, 1, 3).reshape(_BLOCKS**2, -1)
-        count = min(_POINTS, blocks.shape[1])
-        places = np.argpartition(blocks, blocks.shape[1] - count, axis=1)[:, -count:]
-        tops, lefts = np.divmod(np.arange(_BLOCKS**2)[:, None], _BLOCKS)
-        points = (places // width + tops * height) * template.shape[1]
-        points += places % width + lefts * width
-        points = points[steep.take(points) > 0]
+        of_each = blocks.transpose(0, 2, 1, 3).reshape(_BLOCKS**2, -1)
+        place = max(0, of_each.shape[1] - _POINTS)
+        least = np.partition(of_each, place, axis=1)[:, place]  # argpartition takes longer
+        least = np.maximum(least, np.finfo(np.float32).tiny)
+        chosen = np.flatnonzero(blocks >= least.reshape(_BLOCKS, 1, _BLOCKS, 1))
+        chosen += chosen // (_BLOCKS * width) * (steep.shape[1] - _BLOCKS * width)
+        points = chosen[:: 1 + chosen.size // (2 * _MOST_IN_LINE)]  # many may be equally steep
         points = points[: points.size & ~1]  # `residuals` needs two lines
         points = points[np.argsort(template.take(points))]
         rows, columns = np.divmod(points, template.shape[1])
@@ -263,7 +265,6 @@ class _Level:
         inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
         # Linear interpolation lessens the noise between pixels: what is displaced by a part of one
         # would fit better than what is at rest.
-        # OpenCV finds up to 32,767 values a line.
         lines = x.reshape(2, -1), y.reshape(2, -1)
         values = cv2.remap(self.image, *lines, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         difference = np.ravel(values) - self.values
