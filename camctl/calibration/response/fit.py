@@ -199,7 +199,8 @@ def _fit(
         is_free = turn < 0 or exposure_error >= ROUGH
         misfit = 1.0 if is_free else max(least, np.mean(np.clip(deviations, *_MISFIT) ** 2))
         weights = robust / (variance * system.alike * misfit)
-        square = (system.rows * weights[:, None]).T @ system.rows + (free if turn < 0 else known)
+        weighted = system.rows * np.sqrt(weights)[:, None]
+        square = weighted.T @ weighted + (free if turn < 0 else known)
         around = None if turn < _ROUNDS else np.interp(places, x_known, log_E)
         smooth = roughness * _expected(bends, around)[:, None]
         square[:COEFFICIENTS, :COEFFICIENTS] += roughness.T @ smooth
