@@ -219,7 +219,7 @@ class Limits:
         found = outside_limits(self.low, self.high, short, long)
         if ranges is None:
             return found
-        places = np.nonzero(found)
+        places = np.unravel_index(np.flatnonzero(found), found.shape)
         if places[0].size:
             around = ranges_at(ranges, places, first, every)
             found[places] = self._outside_edges(places, short[places], long[places], around)
