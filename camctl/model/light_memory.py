@@ -8,6 +8,7 @@ occur before, and an estimate takes two to six times as long as a look-up.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from threading import Lock
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -50,7 +51,7 @@ _ENTRY = np.dtype([("key", np.uint64), ("light", np.float32), ("deviation", np.f
 
 
 class LightMemory:
-    """Estimates light, and keeps what it found last; for one thread.
+    """Estimates light, and keeps what it found last; threads share it.
 
     It stops keeping where most combinations are new, as with 12 bits.
 
@@ -62,9 +63,7 @@ class LightMemory:
         self._estimate = estimate
         self._known = np.zeros(1 << _PLACES_BITS, _ENTRY)
         self._known["key"][:2] = 1  # 0 would be there, and is not known either
-        self._taken = np.empty(_BLOCK, _ENTRY)
-        self._work = np.empty(_BLOCK, np.uint64)
-        self._words = np.empty((_BLOCK, _WORD), np.uint8)
+        self._lock = Lock()  # an entry is written in two steps
         self._asked = self._new = 0
 
     def of(
@@ -77,16 +76,19 @@ class LightMemory:
             self._find(values, total, light, deviation)
             return light, deviation
         self._asked += total.size
+        taken = np.empty(min(_BLOCK, total.size), _ENTRY)
         new: list[NDArray[np.intp]] = []
         for start in range(0, total.size, _BLOCK):
             part = slice(start, start + _BLOCK)
-            key = self._combined([each[part] for each in values])
-            places = self._places(key)
-            found = self._known.take(places, out=self._taken[: key.size], mode="clip")
+            key = _combined([each[part] for each in values])
+            places = _places(key)
+            with self._lock:
+                found = self._known.take(places, out=taken[: key.size], mode="clip")
             known = found["key"] == key
             if not known.all():
                 others = np.flatnonzero(~known)
-                beside = self._known.take(places[others] ^ 1)
+                with self._lock:
+                    beside = self._known.take(places[others] ^ 1)
                 is_there = beside["key"] == key[others]
                 found[others] = beside
                 new.append(others[~is_there] + start)
@@ -113,10 +115,11 @@ class LightMemory:
         keys = self._known["key"]
         for start in range(0, new.size, _BLOCK):
             part = entries[start : start + _BLOCK]
-            part["key"] = key = self._combined([each[start : start + _BLOCK] for each in here])
-            places = self._places(key)
-            places[keys[places] > 1] ^= 1  # `take` would copy all keys
-            self._known[places] = part  # of several the last one
+            part["key"] = key = _combined([each[start : start + _BLOCK] for each in here])
+            places = _places(key)
+            with self._lock:
+                places[keys[places] > 1] ^= 1  # `take` would copy all keys
+                self._known[places] = part  # of several the last one
 
     def _find(
         self,
@@ -131,24 +134,27 @@ class LightMemory:
                 [each[part] for each in values], total[part]
             )
 
-    def _places(self, key: NDArray[np.uint64]) -> NDArray[np.intp]:
-        places = np.multiply(key, _FACTOR, out=self._work[: key.size])
-        places >>= _SHIFT
-        return places.view(np.intp)
 
-    def _combined(self, values: Sequence[NDArray[Any]]) -> NDArray[np.uint64]:
-        """Return a number for each combination: its bytes, or more than 8 of them combined.
+def _places(key: NDArray[np.uint64]) -> NDArray[np.intp]:
+    """Return the place of each combination."""
+    places = key * _FACTOR
+    places >>= _SHIFT
+    return places.view(np.intp)
 
-        These are as the digits of a number to a base, modulo 2^64: one is another one's number in 1
-        of 2^64 cases.  The number is valid until the next call.
-        """
-        count, dtype = _WORD // values[0].itemsize, values[0].dtype
-        out = self._words[: values[0].size]
-        word = out.view(np.uint64).reshape(-1)
-        key = word
-        for first in range(0, len(values), count):
-            some = list(values[first : first + count])
-            interleave((some * count)[:count], out.view(dtype))  # repeated, they spread better
-            if len(values) > count:
-                key = key * _FACTOR + word if first else word.copy()
-        return key
+
+def _combined(values: Sequence[NDArray[Any]]) -> NDArray[np.uint64]:
+    """Return a number for each combination: its bytes, or more than 8 of them combined.
+
+    These are as the digits of a number to a base, modulo 2^64: one is another one's number in 1 of
+    2^64 cases.
+    """
+    count, dtype = _WORD // values[0].itemsize, values[0].dtype
+    out = np.empty((values[0].size, _WORD), np.uint8)
+    word = out.view(np.uint64).reshape(-1)
+    key = word
+    for first in range(0, len(values), count):
+        some = list(values[first : first + count])
+        interleave((some * count)[:count], out.view(dtype))  # repeated, they spread better
+        if len(values) > count:
+            key = key * _FACTOR + word if first else word.copy()
+    return key

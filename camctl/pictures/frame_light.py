@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from threading import local
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -155,7 +155,6 @@ class FrameLight:
     chroma: tuple[LightTables, ...] = ()
     details: tuple[LostDetail, ...] = ()
     beside: Estimate | None = None
-    _kept: local = field(default_factory=local, init=False, repr=False)
 
     def rows(
         self, frames: Sequence[NDArray[Any]], total: NDArray[np.unsignedinteger]
@@ -200,7 +199,7 @@ class FrameLight:
     ) -> tuple[Floats32, Floats32]:
         """Return irradiance at exposure 1, and its deviation, of frames that are clipped."""
         both: list[Floats32] = []
-        for (part, _), memory in zip(self.parts, self._memories(), strict=True):
+        for (part, _), memory in zip(self.parts, self._memories, strict=True):
             *values, sums = (np.ravel(part.view(each)) for each in (*clipped, total))
             found = memory.of(values, sums)
             if len(self.parts) == 1:  # all samples
@@ -211,12 +210,11 @@ class FrameLight:
                 view[...] = each.reshape(view.shape)
         return both[0], both[1]
 
+    @cached_property
     def _memories(self) -> list[LightMemory]:
-        """Return what estimates the light of each part in this thread."""
-        if not hasattr(self._kept, "memories"):
-            memories = {each: LightMemory(each.estimate) for _, each in self.parts}
-            self._kept.memories = [memories[each] for _, each in self.parts]
-        return list(self._kept.memories)
+        """What estimates the light of each part; parts that are alike have one."""
+        memories = {each: LightMemory(each.estimate) for _, each in self.parts}
+        return [memories[each] for _, each in self.parts]
 
     def _clipped(self, frames: Sequence[NDArray[Any]]) -> Sequence[NDArray[Any]]:
         """Return frames clipped at white, or as they are where no sample can be above it."""
