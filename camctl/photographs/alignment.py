@@ -15,7 +15,7 @@ from camctl.evidence.alignment import displacement
 from camctl.findings import Detail, Finding
 from camctl.interface.camera import Pixels
 from camctl.photographs.camera import Photograph
-from camctl.system.picture_operations import reduced_by_area, required_opencv
+from camctl.system.picture_operations import reduced_in_steps, required_opencv
 
 #: Longest side of the grey copies in which alignment is measured, pixels.
 _SIDE = 768
@@ -66,7 +66,7 @@ def grey_copy(pixels: Pixels, white: int, side: int) -> tuple[NDArray[np.float32
     grey = pixels[..., 1] if pixels.ndim == 3 else pixels
     scale = max(1.0, max(grey.shape) / side)
     size = (max(1, round(grey.shape[1] / scale)), max(1, round(grey.shape[0] / scale)))
-    small = reduced_by_area(grey, size)
+    small = reduced_in_steps(grey, size)
     return np.float32(1 / white) * np.asarray(small, np.float32), scale
 
 

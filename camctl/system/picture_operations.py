@@ -196,6 +196,18 @@ def reduced_by_area(picture: NDArray[Any], size: tuple[int, int]) -> NDArray[Any
     return _of_type(found, picture, size)
 
 
+def reduced_in_steps(picture: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
+    """Return the same of a picture that is halved while it is four times as large, or larger.
+
+    OpenCV takes a fifth to a third of the time for that, and the rest: edges move by a quarter of a
+    pixel.
+    """
+    while min(picture.shape[0] // size[1], picture.shape[1] // size[0]) >= 4:
+        rows, columns = picture.shape[0] // 2, picture.shape[1] // 2
+        picture = reduced_by_area(picture[: 2 * rows, : 2 * columns], (columns, rows))
+    return reduced_by_area(picture, size)
+
+
 def enlarged_smoothly(picture: Kernel, size: tuple[int, int]) -> Kernel:
     """Return a picture in float32 of (columns, rows) pixels, interpolated linearly."""
     if (cv2 := opencv()) is not None:
