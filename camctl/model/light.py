@@ -121,7 +121,7 @@ class _Weights:
             np.sqrt(noise) / step,
             clipped,
             saturated,
-            saturated & (x - CLIPPING_SIGMAS * exposures * deviation - reach < sensor.full),
+            saturated & (x - CLIPPING_SIGMAS * exposures / np.sqrt(sums) - reach < sensor.full),
             deviation,
             np.sqrt(pattern),
             np.sqrt(of_sum / slopes.sum(axis=0) ** 2 + (prnu * E) ** 2),
@@ -331,16 +331,19 @@ class LightTables:
             chosen, is_white = chosen[counts], is_white[counts]
             if not chosen.size:
                 continue
-            mean, spread = E[chosen].astype(np.float64), deviation[chosen].astype(np.float64)
+            mean = E[chosen].astype(np.float64)
+            # The differences of pixels are the same in each frame.
+            pattern = self._pattern.take(bins[chosen]).astype(np.float64)
+            square = np.square(deviation[chosen].astype(np.float64)) - pattern**2
+            spread = np.sqrt(np.maximum(square, _LEAST_VARIANCE))
             other = self.spreads[place].take(bins[chosen])
             share = spread**2 / (spread**2 + other**2)
             measured = mean + share * (samples[place][chosen] - mean)
             full = float(self.irradiance[place, -1])
             above, narrower = truncated((mean - full) / np.hypot(spread, other))
             E[chosen] = np.where(is_white, mean + spread * np.sqrt(share) * above, measured)
-            deviation[chosen] = spread * np.sqrt(
-                np.maximum(1 - share * np.where(is_white, narrower, 1.0), 1e-6)
-            )
+            left = np.maximum(1 - share * np.where(is_white, narrower, 1.0), 1e-6)
+            deviation[chosen] = np.hypot(spread * np.sqrt(left), pattern)
 
     def _truncate(self, E: Floats32, deviation: Floats32) -> None:
         """Replace lights near 0 by their posterior mean above 0, and their deviations likewise."""

@@ -55,3 +55,17 @@ def test_noise_of_hundreds_of_16_bit_levels_is_measured() -> None:
     z = ((found.irradiance - light) / found.sd)[found.mask == 0]
     assert 0.97 < z.std() < 1.03
     assert np.mean(found.mask & 4 > 0) < 0.002
+
+
+def test_differences_of_pixels_stay_in_the_deviation_beside_full_scale() -> None:
+    rng = np.random.default_rng(2)
+    light = np.tile(np.linspace(0.21, 0.26, 64), (400, 1))  # the longer frame saturates at 0.25
+    pixels = light * rng.normal(1, 0.02, light.shape)
+    noise = FrameNoise(3.0, 5.0, prnu=0.02)
+    frames = []
+    for exposure in (1, 4):
+        levels = rng.poisson(pixels * exposure * 3840 * 3) / 3 + rng.normal(0, 5, light.shape)
+        frames.append(np.clip(np.floor(levels) + 256, 0, 4095).astype(np.uint16))
+    found = camctl.combine(frames, (1, 4), black=256, white=4095, noise=noise)
+    z = (found.irradiance - light) / found.sd
+    assert 0.95 < z.std() < 1.05
