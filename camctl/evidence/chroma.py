@@ -18,21 +18,22 @@ from numpy.typing import NDArray
 
 from camctl.evidence.patches import Patches
 from camctl.model.colour_rounding import DECODED, ENCODED
-from camctl.system.picture_operations import box_means
+from camctl.system.picture_operations import box_means, looked_up
 
 OF_Y = ENCODED[0].astype(np.float32)
 """Weights of red, green and blue in Y."""
 
-#: What one level squared of Cb and of Cr is in red, green and blue, levels squared.
-_VARIANCES = np.square(DECODED[:, 1:].T).astype(np.float32)
-
-ROUNDING = np.sqrt((1 + _VARIANCES.sum(axis=0)) / 12)
+ROUNDING = np.sqrt((1 + np.square(DECODED[:, 1:]).sum(axis=1)) / 12)
 """Standard deviation of red, green and blue, levels, by whole numbers of Y, Cb and Cr: the least
 error of a JPEG file."""
 
 #: Real loss over the one that the cells show, of what follows Y and of what does not: fitted to the
 #: errors of seven photographs, made smaller and kept as 4:2:0 (`tests/bench/bench_jpeg_loss.py`).
 _FOLLOWING, _OTHER = 1.65, 1.33
+#: G - Y as shares of R - Y and of B - Y.
+_GREEN: tuple[float, float] = tuple((-OF_Y[[0, 2]] / OF_Y[1]).tolist())
+#: Degrees of freedom of variances of 3 x 3 cells: of their means, and of what is within them.
+_OF_CELLS, _OF_DETAIL = 9 - 1, 9 * 3
 #: Variance of Y, levels squared, below which a cell shows no contrast: that of two roundings.
 _NO_CONTRAST = 1 / 6
 #: Share of the finest detail of green that R - G and B - G have at most where their samples are
@@ -69,23 +70,25 @@ def has_few_chroma_samples(samples: Sequence[Patches], highest: int) -> bool:
     )
 
 
-def chroma_variance(cells: Sequence[NDArray[Any]]) -> NDArray[np.float32]:
+def chroma_variance(
+    cells: Sequence[NDArray[Any]], noise: NDArray[np.float32] | None = None
+) -> NDArray[np.float32]:
     """Return the variance of the errors of colours, levels squared, of each cell of 2 x 2 pixels.
 
     Args:
         cells: (4, rows, columns) of red, of green and of blue, see `_detail`
+        noise: what noise shows of R - Y, of B - Y, of Y and of detail at each brightness of green,
+            (4, levels), see `ColourRounding.cells`; None: nothing
 
     Returns:
         (3, rows, columns)
     """
-    red, green, blue = (each.sum(axis=0, dtype=np.uint32) * np.float32(0.25) for each in cells)
-    detail = _detail(cells[1])
-    lost = _lost_chroma(red, green, blue, detail, lambda each: box_means(each, 1))
-    found = np.empty((3, *green.shape), np.float32)
-    for k in range(3):
-        np.multiply(lost[0], _VARIANCES[0, k], out=found[k])
-        found[k] += _VARIANCES[1, k] * lost[1]
-    return found
+    means = [_cell_means(each) for each in cells]
+    shown = None
+    if noise is not None:
+        green = means[1].astype(cells[1].dtype)
+        shown = [looked_up(each, green) for each in noise]
+    return _lost_chroma(means, _detail(cells[1]), lambda each: box_means(each, 1), shown)
 
 
 def patch_chroma_variance(patches: Patches) -> NDArray[np.float32]:
@@ -97,12 +100,10 @@ def patch_chroma_variance(patches: Patches) -> NDArray[np.float32]:
     green = cells[1].transpose(2, 4, 1, 3, 0).reshape(4, *cells.shape[2:5:2], -1)
     means = cells.mean(axis=(3, 5), dtype=np.float32)
     detail = np.moveaxis(_detail(green), 2, 0)
-    red, middle, blue = means
     lost = _lost_chroma(
-        red, middle, blue, detail, lambda each: np.asarray(each.mean(axis=(1, 2), keepdims=True))
+        means, detail, lambda each: np.asarray(each.mean(axis=(1, 2), keepdims=True))
     )
-    every = np.stack([each.mean(axis=(1, 2)) for each in lost], axis=-1)
-    return np.asarray((every @ _VARIANCES).T.ravel(), np.float32)
+    return np.asarray(lost.mean(axis=(2, 3)).ravel())
 
 
 def photon_noise_ratios(
@@ -146,35 +147,76 @@ NOISE_OF_Y = float(np.sqrt(np.square(OF_Y).sum()))
 
 
 def _lost_chroma(
-    red: NDArray[np.float32],
-    green: NDArray[np.float32],
-    blue: NDArray[np.float32],
+    means: Sequence[NDArray[np.float32]],
     detail: NDArray[np.float32],
     mean: Callable[[NDArray[np.float32]], NDArray[np.float32]],
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the variance that Cb, and Cr, lose within cells, levels squared.
+    noise: Sequence[NDArray[np.float32]] | None = None,
+) -> NDArray[np.float32]:
+    """Return the variance that red, green and blue lose within cells, levels squared, (3, ...).
+
+    What they differ by from Y is R - Y, B - Y and G - Y.  The last one is the mix of the others
+    that has no Y: what both lose may cancel there.
 
     Args:
-        red: of each cell
-        green: likewise
-        blue: likewise
+        means: red, green and blue of each cell
         detail: variance of Y within the cells, see `_detail`
         mean: returns the mean over the cells around each one, or over all
+        noise: what it shows, see `chroma_variance`
     """
-    Y = brightness((red, green, blue))
+    Y = brightness(means)
     middle = mean(Y)
-    spread = np.maximum(mean(Y * Y) - np.square(middle), 0) + np.float32(_NO_CONTRAST)
+    contrast, within = mean(Y * Y) - np.square(middle), mean(detail)
+    spread = np.maximum(contrast, 0) + np.float32(_NO_CONTRAST)
+    real = spread
+    if noise is not None:
+        real = np.maximum(contrast - noise[2], 0) + np.float32(_NO_CONTRAST)
+        within = _without(within, noise[3], _OF_DETAIL)
+        detail = np.maximum(detail - noise[3], 0)
     # Without the root, sharp pictures lose more than that and soft ones less.
-    share = np.sqrt(np.minimum(mean(detail) / spread, 1)) * np.float32(_OTHER)
-    found = []
-    for colour, scale in ((blue, DECODED[2, 1]), (red, DECODED[0, 2])):
-        chroma = (colour - Y) * np.float32(1 / scale)
-        average = mean(chroma)
-        slope = (mean(chroma * Y) - average * middle) / spread
-        square = np.square(slope)
-        rest = np.maximum(mean(chroma * chroma) - np.square(average) - square * spread, 0)
-        found.append(np.float32(_FOLLOWING) * square * detail + share * rest)
-    return found[0], found[1]
+    share = np.sqrt(np.minimum(within / real, 1)) * np.float32(_OTHER)
+    following = np.float32(_FOLLOWING) * detail
+    red, blue = means[0] - Y, means[2] - Y
+    averages = mean(red), mean(blue)
+    slopes = [
+        np.asarray((mean(each * Y) - average * middle) / spread, np.float32)
+        for each, average in zip((red, blue), averages, strict=True)
+    ]
+
+    def rest(one: int, other: int) -> NDArray[np.float32]:
+        product = mean((red, blue)[one] * (red, blue)[other])
+        product -= averages[one] * averages[other]
+        product -= slopes[one] * slopes[other] * spread
+        return np.asarray(product, np.float32)
+
+    def lost(slope: NDArray[np.float32], rest: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.asarray(np.square(slope) * following + share * np.maximum(rest, 0))
+
+    of_red, of_blue = rest(0, 0), rest(1, 1)
+    if noise is not None:
+        of_red = _without(of_red, noise[0], _OF_CELLS)
+        of_blue = _without(of_blue, noise[1], _OF_CELLS)
+    to_red, to_blue = _GREEN
+    of_both = to_red**2 * of_red + to_blue**2 * of_blue + 2 * to_red * to_blue * rest(0, 1)
+    slope, of_green = (
+        np.asarray(each, np.float32) for each in (to_red * slopes[0] + to_blue * slopes[1], of_both)
+    )
+    return np.stack([lost(slopes[0], of_red), lost(slope, of_green), lost(slopes[1], of_blue)])
+
+
+def _without(
+    variance: NDArray[np.float32], noise: NDArray[np.float32], freedom: int
+) -> NDArray[np.float32]:
+    """Return a measured variance without that of noise, above 0.
+
+    Its error is that of the noise by so many degrees of freedom.  Where what is left is 0, half of
+    a normal error is above 0, with the mean sqrt(2 / pi), and no error is left where it is much.
+    """
+    rest = variance - noise
+    square = np.square(rest)
+    square += np.float32(16 / np.pi / freedom) * np.square(noise)
+    rest += np.sqrt(square, out=square)
+    rest *= np.float32(0.5)
+    return rest
 
 
 def _patch_squares(patches: Patches) -> Patches:
@@ -192,15 +234,19 @@ def _detail(cells: NDArray[Any]) -> NDArray[np.float32]:
         cells: (4, rows, columns, ...) of green, whose detail within a cell is that of Y: its upper
             left, upper right, lower left and lower right sample
     """
-    mean = cells.sum(axis=0, dtype=np.uint32) * np.float32(0.25)
+    mean = _cell_means(cells)
     found: NDArray[np.float32] = np.zeros_like(mean)
     for down in (0, 1):
-        rows = (3 * mean + _beside(mean, 0, down)) / 16
+        rows = np.asarray((3 * mean + _beside(mean, 0, down)) / 16, np.float32)
         for across in (0, 1):
             smooth = 3 * rows + _beside(rows, 1, across)
             found += np.square(cells[2 * down + across] - smooth)
     found /= 4
     return found
+
+
+def _cell_means(cells: NDArray[Any]) -> NDArray[np.float32]:
+    return np.asarray(cells.sum(axis=0, dtype=np.float32) * np.float32(0.25))
 
 
 def _beside(values: NDArray[np.float32], axis: int, step: int) -> NDArray[np.float32]:

@@ -148,17 +148,14 @@ def chroma_steps(steps: Floats) -> Floats:
     return np.asarray(np.maximum(np.rint(scale * _EXAMPLE_OF_CHROMA.ravel()), 1))
 
 
-def _lost_detail(values: NDArray[np.float32], steps: Floats, noise: Floats) -> LostDetail:
+def _lost_detail(scales: Floats, steps: Floats, noise: Floats) -> LostDetail:
     """Return what the file of a frame loses.
 
     Args:
-        values: frequencies of blocks all over the frame, (blocks, 64)
+        scales: of its frequencies by class, (classes, 64), levels
         steps: of the frequencies
         noise: standard deviation of the brightness at each one, levels, (256,)
     """
-    kept = np.abs(values / steps) > 0.5
-    classes = _classes(kept)
-    scales = _scales(kept, classes, steps)
     noise = noise.reshape(_NOISE_BINS, -1).mean(axis=1)
     square = np.square(noise)[:, np.newaxis]
     in_steps = square / np.square(steps)
@@ -188,9 +185,8 @@ def lost_details(
         steps: of their frequencies, levels
         noise: standard deviation of the brightness of each frame at each one, levels, (256,)
     """
-    return tuple(
-        _lost_detail(frequencies(each), steps, own) for each, own in zip(blocks, noise, strict=True)
-    )
+    scales = _scales([np.abs(frequencies(each) / steps) > 0.5 for each in blocks], steps)
+    return tuple(_lost_detail(each, steps, own) for each, own in zip(scales, noise, strict=True))
 
 
 def frequencies(brightness: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -260,37 +256,62 @@ def _likelihoods() -> Floats:
     return np.asarray(np.log((1 - _OTHERS) * found + _OTHERS))
 
 
-def _scales(kept: NDArray[np.bool_], classes: NDArray[np.intp], steps: Floats) -> Floats:
-    """Return the scales of Laplacian frequencies by class, (classes, 64), levels."""
-    count = int(classes.max()) + 1
-    blocks = np.bincount(classes, minlength=count)[:, np.newaxis]
-    seen = np.stack([kept[classes == k].sum(axis=0) for k in range(count)]).astype(np.float64)
+def _scales(kept: Sequence[NDArray[np.bool_]], steps: Floats) -> list[Floats]:
+    """Return the scales of Laplacian frequencies of frames by class, (classes, 64), levels.
+
+    Those of all frames are found at once: one array for each takes as long.
+
+    Args:
+        kept: which frequencies of blocks are not 0, of each frame, (blocks, 64)
+        steps: of the frequencies, levels
+    """
+    classes = [_classes(each) for each in kept]
+    count = 1 + max(int(each.max()) for each in classes)
+    blocks = np.stack([np.bincount(each, minlength=count) for each in classes])[..., np.newaxis]
+    seen = np.stack(
+        [
+            [each[of == k].sum(axis=0, dtype=np.float64) for k in range(count)]
+            for each, of in zip(kept, classes, strict=True)
+        ]
+    )
     half = steps / 2
-    own, frequency = np.zeros((count, 1)), np.log(half / 3)[np.newaxis]
+    own, frequency = np.zeros(blocks.shape), np.log(half / 3)[np.newaxis, np.newaxis]
 
     def expected(x: Floats, y: Floats) -> Floats:
         return np.asarray(blocks * np.exp(-half * np.exp(-x - y)))
 
-    of_class = np.maximum(seen[:, 1:].sum(axis=1, keepdims=True), 0.5)
-    of_frequency = np.maximum(seen.sum(axis=0, keepdims=True), 0.5)
+    of_class = np.maximum(seen[..., 1:].sum(axis=2, keepdims=True), 0.5)
+    of_frequency = np.maximum(seen.sum(axis=1, keepdims=True), 0.5)
     for _ in range(_ROUNDS):
         own = _solved(
-            lambda x, y=frequency: expected(x, y)[:, 1:].sum(axis=1, keepdims=True),  # type: ignore[misc]
+            lambda x, y=frequency: expected(x, y)[..., 1:].sum(axis=2, keepdims=True),  # type: ignore[misc]
             of_class,
         )
         frequency = _solved(
-            lambda x, y=own: expected(x, y).sum(axis=0, keepdims=True),  # type: ignore[misc]
+            lambda x, y=own: expected(x, y).sum(axis=1, keepdims=True),  # type: ignore[misc]
             of_frequency,
         )
+    return [_shown(*each) for each in zip(own[..., 0], frequency[:, 0], blocks, seen, strict=True)]
+
+
+def _shown(own: Floats, frequency: Floats, blocks: Floats, seen: Floats) -> Floats:
+    """Return the scales of a frame by logarithms of those of classes and of frequencies.
+
+    Args:
+        own: of the classes, (classes,)
+        frequency: of the frequencies, (64,)
+        blocks: number of blocks of each class, (classes, 1)
+        seen: number of blocks that keep a frequency, (classes, 64)
+    """
     never = seen[:, 1:].sum(axis=0) == 0
     if np.count_nonzero(~never) > 3:
         # What no block shows is less than it could hide: ln(detail) is a parabola of ln(frequency).
         octave = np.log(np.hypot(*np.divmod(np.arange(1, SIDE * SIDE), SIDE)))
-        line = np.polyfit(octave[~never], frequency[0, 1:][~never], 2)
-        frequency[0, 1:][never] = np.minimum(frequency[0, 1:], np.polyval(line, octave))[never]
+        line = np.polyfit(octave[~never], frequency[1:][~never], 2)
+        frequency[1:][never] = np.minimum(frequency[1:], np.polyval(line, octave))[never]
     used = np.flatnonzero(blocks)
-    own = np.interp(np.arange(count), used, own[used, 0])[:, np.newaxis]
-    return np.asarray(np.exp(own + frequency))
+    own = np.interp(np.arange(len(own)), used, own[used])
+    return np.asarray(np.exp(own[:, np.newaxis] + frequency))
 
 
 def _solved(ascending: Callable[[Floats], Floats], wanted: Floats) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,11 +11,15 @@ from numpy.typing import NDArray
 from camctl.evidence.chroma import photon_noise_ratios
 from camctl.evidence.lost_detail import chroma_steps
 from camctl.evidence.noise import NoiseFit, fit_noise
-from camctl.evidence.patches import Patches
+from camctl.evidence.patches import SIDE, Patches
 from camctl.model.block_rounding import BlockRounding
 from camctl.model.colour_rounding import ColourRounding
+from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import CameraResponse
 from camctl.model.sensor import SensorModel
+
+#: Steps of frequencies of files in which none are seen.
+_FINE = (0.01,) * SIDE**2
 
 
 def file_roundings(
@@ -43,6 +48,32 @@ def file_roundings(
         ColourRounding(own, chroma_steps=others, colour=at, noise=tuple(row.tolist()))
         for at, row in enumerate(photon_noise_ratios(samples, photons))
     ]
+
+
+def noise_contrast(
+    green: SensorModel, noise: Sequence[FrameNoise | None], file: BlockRounding | None
+) -> tuple[NDArray[np.float32], ...]:
+    """Return what the noise of frames shows as contrast of colours, see `ColourRounding.cells`.
+
+    All light has photon noise.  Where none was found, what was found is texture or not only noise,
+    and is not told apart from contrast.
+
+    Args:
+        green: its sensor
+        noise: of green of each frame; None: not known, and none shows
+        file: what it makes of the noise of green
+    """
+    if not isinstance(file, ColourRounding):
+        file = ColourRounding(_FINE, chroma_steps=_FINE, colour=1)
+    gap = np.maximum(np.square(green.gap), 1e-12)
+    alike: dict[FrameNoise | None, NDArray[np.float32]] = {}
+    for each in noise:
+        if each not in alike:
+            square = np.zeros(gap.shape)
+            if each is not None and math.isfinite(each.electrons_per_level):
+                square = green.variance(green.light, each) / gap + 1 / 12
+            alike[each] = np.asarray(file.cells(square), np.float32)
+    return tuple(alike[each] for each in noise)
 
 
 def fit_parts(

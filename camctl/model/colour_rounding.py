@@ -82,6 +82,29 @@ class ColourRounding(BlockRounding):
         """Return the variance within blocks where all frequencies show contrast."""
         return np.asarray(self._kept.mean() * variance + float(self._rounding.mean()))
 
+    def cells(self, variance: FloatArray) -> CellContrast:
+        """Return what noise of this colour shows as contrast of cells, if the scene is smooth.
+
+        Args:
+            variance: of the noise before the file was made, levels squared
+        """
+        rows = [self._of(variance, each) for each in self._cell_tables]
+        return CellContrast(*rows)
+
+    @cached_property
+    def _cell_tables(self) -> FloatArray:
+        """What `cells` returns over the variance of the noise, (4, nodes)."""
+        of_one, geometry = np.diagonal(self._common).tolist(), _cell_geometry()
+        steps = self.steps, self.chroma_steps, self.chroma_steps
+        bright, blue, red = (
+            _plane(each, step, is_chroma=at > 0).mean[1:]
+            for at, (each, step) in enumerate(zip(of_one, steps, strict=True))
+        )
+        scales = np.square((DECODED[0, 2], DECODED[2, 1]))
+        rows = geometry.of_y @ bright, geometry.within @ bright
+        others = scales[0] * (geometry.of_cells @ red), scales[1] * (geometry.of_cells @ blue)
+        return np.stack([*others, *rows]) / nodes_of()
+
     @cached_property
     def _tables(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         variance = nodes_of()
@@ -165,6 +188,64 @@ def _plane(of_one: float, steps: tuple[float, ...], *, is_chroma: bool) -> _Plan
     # Frequencies that are not 0 are rare and independent where they are few.
     number = (mean[1:] / np.square(steps[1:])[:, np.newaxis]).sum(axis=0)
     return _Plane(mean, spread, gain, np.maximum(-np.expm1(-number), 1e-9))
+
+
+class CellContrast(NamedTuple):
+    """Variances that noise makes, levels squared.
+
+    Attributes:
+        red: of R - Y of the cells of 3 x 3
+        blue: of B - Y, likewise
+        Y: of Y, likewise
+        detail: of Y within a cell, beside what linear interpolation between cells shows
+    """
+
+    red: FloatArray
+    blue: FloatArray
+    Y: FloatArray
+    detail: FloatArray
+
+
+class _CellGeometry(NamedTuple):
+    """How much of a frequency of variance 1 is in `CellContrast`, (63,).
+
+    Attributes:
+        of_cells: frequencies of cells, which are decoded and of which pixels have means again
+        of_y: frequencies of pixels, in the means of cells
+        within: the same, within cells
+    """
+
+    of_cells: FloatArray
+    of_y: FloatArray
+    within: FloatArray
+
+
+@lru_cache(maxsize=1)
+def _cell_geometry() -> _CellGeometry:
+    angle = np.arange(_SIDE) * (math.pi / _SIDE)
+
+    def local(gain: FloatArray, step: int) -> FloatArray:
+        """Return the variance among 3 x 3 cells of frequencies that have this gain on one axis."""
+        around = (1 + 2 * np.cos(step * angle)) / 3
+        kept = np.outer(gain, gain)
+        return np.asarray(np.square(kept) * (1 - np.square(np.outer(around, around))))
+
+    pairs = np.cos(angle / 2)
+    # A pixel is 3/4 of its cell's mean and 1/4 of the one beside it.
+    product, square = np.zeros((2, _SIDE))
+    place = np.arange(-6, 10)
+    for at, each in enumerate(angle.tolist()):
+        wave = np.cos((place + 0.5) * each)
+        means = wave.reshape(-1, 2).mean(axis=1)
+        shown = np.stack(
+            [0.75 * means[1:-1] + 0.25 * means[:-2], 0.75 * means[1:-1] + 0.25 * means[2:]], axis=1
+        ).ravel()
+        middle, shown = wave[6:14], shown[4:12]
+        product[at] = middle @ shown / (middle @ middle)
+        square[at] = shown @ shown / (middle @ middle)
+    within = 1 - 2 * np.outer(product, product) + np.outer(square, square)
+    rows = local(0.75 + 0.25 * np.cos(angle), 1), local(pairs, 2), within
+    return _CellGeometry(*(each.ravel()[1:] / _SIDE**2 for each in rows))
 
 
 def dithered(variance: FloatArray) -> FloatArray:

@@ -350,9 +350,7 @@ class LightTables:
         near = np.flatnonzero(_NEAR_ZERO * deviation > E)
         if near.size:
             spread = deviation[near].astype(np.float64)
-            above, narrower = truncated(E[near] / spread)
-            E[near] += spread * above
-            deviation[near] = spread * np.sqrt(np.maximum(1 - narrower, 1e-6))
+            deviation[near] = spread * cut_at_zero(E, spread, near)
 
 
 def truncated(a: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -363,6 +361,19 @@ def truncated(a: FloatArray) -> tuple[FloatArray, FloatArray]:
     a = np.maximum(a, -REACH)
     larger = np.exp(-(a**2) / 2) / np.sqrt(2 * np.pi) / normal_cdf(a)
     return larger, larger * (a + larger)
+
+
+def cut_at_zero(light: Floats32, spread: FloatArray, near: Any) -> FloatArray:
+    """Replace lights by their posterior means above 0; return the factors of their deviations.
+
+    Args:
+        light: of samples
+        spread: standard deviation of those that are replaced
+        near: where these are
+    """
+    larger, narrower = truncated(light[near] / spread)
+    light[near] += spread * larger
+    return np.sqrt(np.maximum(1 - narrower, 1e-6))
 
 
 @lru_cache(maxsize=16)

@@ -20,7 +20,7 @@ from camctl.evidence.chroma import brightness, chroma_variance
 from camctl.evidence.lost_detail import LostDetail
 from camctl.evidence.patches import SIDE
 from camctl.model.distribution import normal_cdf
-from camctl.model.light import Floats32, LightTables, truncated
+from camctl.model.light import Floats32, LightTables, cut_at_zero
 from camctl.model.sensor import CLIPPING_SIGMAS, FILE_OFFSET
 from camctl.system.picture_operations import box_means, looked_up
 
@@ -48,6 +48,7 @@ def share_chroma_errors(
     frames: Sequence[NDArray[Any]],
     tables: Sequence[LightTables],
     details: Sequence[LostDetail],
+    noises: Sequence[NDArray[np.float32]],
     irradiance: Floats32,
     deviation: Floats32,
 ) -> None:
@@ -57,6 +58,7 @@ def share_chroma_errors(
         frames: the same rows of each, (rows, columns, 3), clipped at white, from a block on
         tables: of red, green and blue
         details: what the file of each frame loses besides; empty where this is not known
+        noises: what the noise of each frame shows, see `chroma_variance`
         irradiance: as if there were none, at exposure 1
         deviation: likewise; what is not a number stays so
     """
@@ -65,12 +67,18 @@ def share_chroma_errors(
         # A file has whole cells, whose other samples are about those at the border.
         rest = (0, rows & 1), (0, columns & 1), (0, 0)
         padded = [np.pad(each, rest, mode="edge") for each in (*frames, irradiance, deviation)]
-        share_chroma_errors(padded[:-2], tables, details, *padded[-2:])
+        share_chroma_errors(padded[:-2], tables, details, noises, *padded[-2:])
         irradiance[...], deviation[...] = (each[:rows, :columns] for each in padded[-2:])
         return
     seen = [[_by_cells(each[..., k]) for k in range(len(tables))] for each in frames]
     shape = 4, rows // 2, columns // 2
-    errors = np.stack([chroma_variance([each.reshape(shape) for each in cells]) for cells in seen])
+    errors = np.stack(
+        [
+            chroma_variance([each.reshape(shape) for each in cells], noise)
+            for cells, noise in zip(seen, noises, strict=True)
+        ]
+    )
+    of_chroma = errors.copy().reshape(len(frames), len(tables), -1)
     for frame, detail, error in zip(frames, details, errors, strict=bool(details)):
         error += _by_block(detail, frame)
     spreads = np.sqrt(errors, out=errors).reshape(len(frames), len(tables), -1)
@@ -83,6 +91,7 @@ def share_chroma_errors(
             table,
             [each[channel] for each in seen],
             spreads[:, channel],
+            of_chroma[:, channel],
             hidden,
             beside,
             (lights[channel], deviations[channel]),
@@ -104,6 +113,7 @@ def _replaced(
     tables: LightTables,
     values: Sequence[NDArray[Any]],
     errors: NDArray[np.float32],
+    of_chroma: NDArray[np.float32],
     hidden: Sequence[NDArray[np.bool_]],
     beside: NDArray[np.bool_],
     found: tuple[Floats32, Floats32],
@@ -115,6 +125,7 @@ def _replaced(
         tables: of the colour
         values: of each frame, (4, cells)
         errors: standard deviations of the errors that frames have in common, levels, (n, cells)
+        of_chroma: variances of those by fewer samples of colours alone
         hidden: whether another colour of the pixel is saturated, of each frame
         beside: cells beside what is saturated, (cells,)
         found: light and deviation without these errors
@@ -141,6 +152,7 @@ def _replaced(
             tables,
             {at: seen[at] for at in order},
             {at: errors[at].take(cells) for at in order},
+            {at: of_chroma[at].take(cells) for at in order},
             # Where another colour of a whole cell is saturated, all of the cell is.
             {} if by_cell else {at: here(hidden[at]) for at in order},
             (here(first), here(found[1]), small.take(cells)),
@@ -277,6 +289,7 @@ def _joined(
     tables: LightTables,
     values: Mapping[int, NDArray[Any]],
     errors: Mapping[int, NDArray[np.float32]],
+    of_chroma: Mapping[int, NDArray[np.float32]],
     hidden: Mapping[int, NDArray[np.bool_]],
     first: tuple[Floats32, Floats32, Floats32],
     *,
@@ -288,6 +301,7 @@ def _joined(
         tables: of their colour
         values: of some frames, from the shortest to the longest, of cells (4, C) or samples (S,)
         errors: standard deviations of the errors that frames have in common, levels, (C,) or (S,)
+        of_chroma: variances of those by fewer samples of colours alone
         hidden: whether another colour of the pixel is saturated; none: no more than the own one
         first: light and deviation without these errors, and what they add to it
         by_cell: with the noise of a cell's mean light, whose errors choose weights less
@@ -297,14 +311,14 @@ def _joined(
     light = first[0]
     samples = {at: looked_up(tables.irradiance[at], each) for at, each in values.items()}
     unseen = {at: each | hidden[at] for at, each in saturated.items()} if hidden else saturated
-    apart = _contradiction(tables, samples, values, errors, unseen)
+    apart, least_errors = _contradiction(tables, samples, values, (errors, of_chroma), unseen)
     is_dim, is_unseen = ({at: bool(x.any()) for at, x in e.items()} for e in (saturated, unseen))
     is_even = np.ones(light.shape[-1], np.bool_)
     rounds = 1 if by_cell else _ROUNDS
     for number in range(rounds):
         bins = tables.bins(light.mean(axis=0) if by_cell else light)
         lowest, highest = int(bins.min()), int(bins.max()) + 1
-        above, weights, own, shared, squares, count = np.zeros((6, *light.shape), np.float32)
+        above, weights, own, shared, more, squares, count = np.zeros((7, *light.shape), np.float32)
         least: Any = None  # nothing yet
         for at, sample in samples.items():
             counts = values[at] <= top
@@ -337,12 +351,14 @@ def _joined(
             weight = counts / both
             if is_dim[at]:
                 below = tables.sensor.white - values[at]
-                shown = (mean, known, spread, sample, error, below, errors[at])
-                _lessen(weight, counts & saturated[at], shown, saturates)
+                others = (mean, known, spread, sample, error, below, errors[at])
+                _lessen(weight, counts & saturated[at], others, saturates)
             weighted = weight * sample
             above += weighted
             own += np.square(weight) * noise
             shared += weight * error
+            if number == rounds - 1 and at in least_errors:
+                more += weight * np.maximum(least_errors[at] - error, 0)
             weights += weight
             if number == rounds - 1:
                 squares += weighted * sample
@@ -350,11 +366,14 @@ def _joined(
         found = weights > 0
         total = weights + ~found
         light = np.asarray(above / total + ~found * first[0], np.float32)
-        narrower = _truncate(light, np.sqrt(1 / total), found)
+        spread, narrower = np.sqrt(1 / total), np.ones(light.shape, np.float32)
+        near = np.nonzero(found & (light < reach * spread))
+        if near[0].size:
+            narrower[near] = cut_at_zero(light, spread[near].astype(np.float64), near)
     scatter = np.maximum(squares - np.square(above) / total, 0)
     expected = count - (own + np.square(shared)) / total
     # Where frames contradict each other, their mean is no better than any of them.
-    common = np.maximum(narrower * shared / total, apart / 2) + ~found * first[2]
+    common = np.maximum(narrower * (shared + more) / total, apart / 2) + ~found * first[2]
     # What is saturated, the shortest frame says best.
     missing = np.where(next(iter(unseen.values())), np.float32(np.inf), first[1])
     deviation = np.where(found, np.asarray(narrower * np.sqrt(own) / total, np.float32), missing)
@@ -397,51 +416,50 @@ def _chance_of_seeing(shown: Sequence[NDArray[Any]], saturates: np.float32) -> N
     return np.asarray(error / either, np.float32)
 
 
-def _truncate(light: Floats32, spread: NDArray[Any], found: NDArray[np.bool_]) -> Floats32:
-    """Replace light near 0 by its posterior mean above 0; return the factor of its deviation.
-
-    Args:
-        light: of samples
-        spread: standard deviation that it was weighted with
-        found: whether frames show it
-    """
-    factor = np.ones(light.shape, np.float32)
-    near = np.nonzero(found & (light < np.float32(CLIPPING_SIGMAS) * spread))
-    if near[0].size:
-        larger, narrower = truncated((light[near] / spread[near]).astype(np.float64))
-        light[near] += spread[near] * larger
-        factor[near] = np.sqrt(np.maximum(1 - narrower, 1e-6))
-    return factor
-
-
 def _contradiction(
     tables: LightTables,
     samples: Mapping[int, Floats32],
     values: Mapping[int, NDArray[Any]],
-    errors: Mapping[int, NDArray[np.float32]],
+    errors: tuple[Mapping[int, NDArray[np.float32]], Mapping[int, NDArray[np.float32]]],
     unseen: Mapping[int, NDArray[np.bool_]],
-) -> Floats32:
+) -> tuple[Floats32, dict[int, Floats32]]:
     """Return how far the light of frames is apart where they contradict each other, else 0.
 
     Their errors are those at the light of each frame.  At the light of all, which the longest
     frames decide, errors of shorter ones are smaller or larger than they are.  Each frame may have
     another offset, which in the shortest ones is a multiple of the light of what is dark.
 
+    All frames lose the same light of colours, but where it saturates them, they show less contrast
+    of it, and even less error: what shorter frames show beyond their noise is lost in these, too.
+
     Args:
         tables: of the colour
-        samples: light of some frames
+        samples: light of some frames, from the shortest to the longest
         values: of these
-        errors: standard deviations of the errors that frames have in common, levels
+        errors: standard deviations of the errors that frames have in common, levels, and variances
+            of those by fewer samples of colours alone
         unseen: what may be saturated
+
+    Returns:
+        that, and the least errors of the light of frames where saturation may make them darker
     """
     reach = np.float32(CLIPPING_SIGMAS)
     sensor = tables.sensor
     offset = (FILE_OFFSET / 255 * (sensor.white - sensor.black)) ** 2
     shape = next(iter(samples.values())).shape
     low, high = np.zeros(shape, np.float32), np.full(shape, _BEYOND)
+    levels = (sensor.highest(None) - np.arange(sensor.white + 1)) / reach
+    to_saturation = (tables.of_values[0] * np.square(levels)).astype(np.float32)
+    lost, least_errors = np.zeros(shape, np.float32), {}
     for at, sample in samples.items():
         square, noise = (looked_up(each[at], values[at]) for each in tables.of_values)
-        square *= np.square(errors[at]) + np.float32(offset)
+        may_be = looked_up(to_saturation[at], values[at]) < lost
+        if may_be.any():
+            least_errors[at] = np.sqrt(lost * may_be)
+        of_chroma = square * errors[1][at]
+        of_chroma -= noise
+        np.maximum(lost, of_chroma, out=lost)
+        square *= np.square(errors[0][at]) + np.float32(offset)
         square += noise
         reached = np.sqrt(square, out=square)
         reached *= reach
@@ -460,4 +478,4 @@ def _contradiction(
             brightest = np.maximum(brightest, here * ~hides)
             darkest = np.minimum(darkest, here + hides * _BEYOND)
         apart[contrary] = brightest - darkest
-    return apart
+    return apart, least_errors

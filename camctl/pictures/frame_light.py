@@ -1,8 +1,7 @@
 """The light of frames, estimated from all of them, and what its noise is known from.
 
-The samples of a frame that have one response and one noise are a part.  Colours that a program
-developed have their own noise, since they were multiplied by a white balance; samples of a mosaic
-have not.
+Samples of a frame that have one response and one noise are a part.  Colours that a program
+developed have their own noise by its white balance; samples of a mosaic have not.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from camctl.evidence.chroma import (
 )
 from camctl.evidence.lost_detail import LEVELS, LostDetail, Steps, file_steps, lost_details
 from camctl.evidence.noise import NoiseFit
-from camctl.evidence.part_noise import file_roundings, fit_parts
+from camctl.evidence.part_noise import file_roundings, fit_parts, noise_contrast
 from camctl.evidence.patch_noise import electrons_per_level
 from camctl.evidence.patches import SIDE, Patches
 from camctl.interface.controls import Layout
@@ -54,7 +53,6 @@ _STAND_IN_E = (CLIPPING_SIGMAS / JPEG_ERROR) ** 2
 
 #: Of the samples of a patch every so many-th shows how exact the light is: 40,000 of a picture.
 _EVERY = 8
-
 
 #: Errors that the compression of a file adds where there is contrast, levels, and what it makes of
 #: noise.
@@ -142,8 +140,8 @@ class FrameLight:
         unit: irradiance in the result times this is irradiance at exposure 1
         chroma: what estimates red, green and blue where frames have few samples of the differences
             of these; empty where that is not so
-        details: what the files of frames with few such samples lose besides; empty where this is
-            not known
+        details: what the files of such frames lose besides; empty where this is not known
+        contrast: what noise shows in each of these, see `chroma_variance`
         beside: estimates the light in blocks of files that hold saturated samples; None: frames
             are not from such files
     """
@@ -154,6 +152,7 @@ class FrameLight:
     unit: float
     chroma: tuple[LightTables, ...] = ()
     details: tuple[LostDetail, ...] = ()
+    contrast: tuple[NDArray[np.float32], ...] = ()
     beside: Estimate | None = None
 
     def rows(
@@ -171,7 +170,8 @@ class FrameLight:
         clipped = [plane_by_plane(each) for each in self._clipped(frames)]
         irradiance, deviation = self._by_sample(clipped, total)
         if self.chroma:
-            share_chroma_errors(clipped, self.chroma, self.details, irradiance, deviation)
+            lost = self.details, self.contrast
+            share_chroma_errors(clipped, self.chroma, *lost, irradiance, deviation)
         if self.beside is not None:
             places = np.flatnonzero(_beside_saturated(clipped, self.white))
             values = [np.ravel(each)[places] for each in clipped]
@@ -342,12 +342,15 @@ def frame_light(
     white = black + parts[0].response.M
     tables = [each.tables for _, each in found if plain is not None and each.tables is not None]
     details = _lost_details(tables[1], samples, steps) if tables and steps is not None else ()
+    known = noises[1] if len(noises) == len(LETTERS) else [None] * len(exposures)
+    contrast = noise_contrast(tables[1].sensor, known, files[1]) if tables else ()
     beside = None
     if file is not None and is_known and len(parts) == 1:
         noise = tuple(replace(each, file=replace(file, contrast=1.0)) for each in frames.noise)
         edges = replace(frames, noise=noise, beside_saturated=True)
         beside = _likelihood(edges, None, gains, is_known=True, is_independent=False).estimate
-    return FrameLight(tuple(found), tuple(noises), white, unit, tuple(tables), details, beside)
+    chroma = tuple(tables), details, contrast
+    return FrameLight(tuple(found), tuple(noises), white, unit, *chroma, beside)
 
 
 def _lost_details(

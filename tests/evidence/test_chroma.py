@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import io
+
 import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 
 from camctl.evidence.chroma import chroma_variance, has_few_chroma_samples, patch_chroma_variance
 from camctl.evidence.patches import sample_patches
 from camctl.interface.controls import Layout
+from camctl.model.colour_rounding import ColourRounding
 
 Picture = NDArray[np.uint8]
+FEW = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420
 
 
 def picture(noise: float) -> Picture:
@@ -23,10 +28,15 @@ def picture(noise: float) -> Picture:
     return np.clip(squares + rng.normal(0, noise, squares.shape), 0, 255).astype(np.uint8)
 
 
-def kept(pixels: Picture, factor: int, quality: int = 95) -> Picture:
-    """Return a picture as a JPEG file keeps it, with a factor of OpenCV."""
+def encoded(pixels: Picture, quality: int, factor: int = FEW) -> bytes:
+    """Return a JPEG file, with a factor of OpenCV."""
     options = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, factor]
-    data = cv2.imencode(".jpg", pixels[..., ::-1], options)[1]
+    return cv2.imencode(".jpg", pixels[..., ::-1], options)[1].tobytes()
+
+
+def kept(pixels: Picture, factor: int, quality: int = 95) -> Picture:
+    """Return a picture as a JPEG file keeps it."""
+    data = np.frombuffer(encoded(pixels, quality, factor), np.uint8)
     return np.asarray(cv2.imdecode(data, 1), np.uint8)[..., ::-1]
 
 
@@ -71,3 +81,20 @@ def test_patches_tell_what_their_cells_do() -> None:
     ratio = patch_chroma_variance(patches).reshape(3, -1).mean(axis=1)
     ratio /= variance(after).mean(axis=(1, 2))
     assert np.all((ratio > 0.5) & (ratio < 3))
+
+
+def test_noise_of_smooth_colours_is_less_contrast() -> None:
+    quality, rng = 98, np.random.default_rng(1)
+    smooth = np.linspace(100, 140, 256)[:, np.newaxis, np.newaxis] * (1.1, 1.0, 0.9)
+    noisy = np.rint(smooth + rng.normal(0, 2.0, (256, 256, 3))).astype(np.uint8)
+    after = kept(noisy, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420, quality)
+    planes = np.moveaxis(after, 2, 0)
+    cells = [np.stack([p[k::2, m::2] for k in (0, 1) for m in (0, 1)]) for p in planes]
+    steps = [
+        tuple(np.ravel(each).astype(float))
+        for each in Image.open(io.BytesIO(encoded(noisy, quality))).quantization.values()  # type: ignore[attr-defined]
+    ]
+    file = ColourRounding(steps[0], chroma_steps=steps[1], colour=1)
+    noise = np.array(file.cells(np.full(256, 4 + 1 / 12)), np.float32)
+    without, found = (chroma_variance(cells, each) for each in (None, noise))
+    assert (found.mean(axis=(1, 2)) < 0.65 * without.mean(axis=(1, 2))).all()

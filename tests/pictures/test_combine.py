@@ -339,6 +339,24 @@ def test_detail_that_all_jpeg_files_lose_alike_is_part_of_the_standard_deviation
     assert 0.62 < np.mean(z < 0.99446) < 0.76
 
 
+def test_red_points_that_saturate_are_as_unsure_as_shorter_frames_show() -> None:
+    """Longer frames show less colour of them: errors were up to 195 of their `sd`."""
+    real, exposures = camera("srgb"), tuple(1.6**k for k in range(12))
+    rng = np.random.default_rng(3)
+    light = np.full((192, 288, 3), 0.004) * rng.uniform(0.8, 1.2, (192, 288, 1))
+    row, column = np.mgrid[:192, :288]
+    is_point = (row % 13 == 5) & (column % 11 == 3)
+    light[is_point] *= (25, 4, 2)
+    lossy = []
+    for each in shot(light, exposures, real, FrameNoise(40.0, 0.7)):
+        data = cv2.imencode(".jpg", each[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 95])[1]
+        lossy.append(np.asarray(cv2.imdecode(data, 1), np.uint8)[..., ::-1])
+    found = camctl.combine(lossy, exposures, response=real, noise=FrameNoise(40.0, 0.7))
+    z = ((found.irradiance - light) / found.sd)[is_point]
+    assert np.sqrt(np.mean(z[:, 0] ** 2)) < 10
+    assert np.abs(z).max() < 25
+
+
 def test_dark_colours_of_jpeg_files_are_not_the_darker_for_many_black_frames() -> None:
     """Frames lose a dark colour together: red that few frames show was 26 % too dark."""
     real = CameraResponse((np.arange(1, 256) / 256) ** 0.75, "coarse at black")
