@@ -33,6 +33,9 @@ In units of a frame's own gap at level k that is k * 1e-12 for a linear camera: 
 gap up to 16 bits, and at least a thousand times the rounding error of E_k / e_j.
 """
 
+WIDEST_RATIO = 1e12
+"""Largest factor between exposures of one capture; light of all of them is kept as float32."""
+
 _BLOCK = 1 << 14
 """Gaps that are looked at together: with several arrays of them a cache of 1 MB is full."""
 
@@ -41,6 +44,12 @@ def check_count(n: int, most: int = MAX_EXPOSURES) -> None:
     """Raise `UsageError` unless n is a number of exposures, 1 to `most`."""
     if not 1 <= n <= most:
         raise UsageError(f"invalid number of exposures {n}: expected 1 to {most}")
+
+
+def check_ratio(exposures: Sequence[float]) -> None:
+    """Raise `UsageError` if positive exposures differ by more than `WIDEST_RATIO`."""
+    if max(exposures) > WIDEST_RATIO * min(exposures):
+        raise UsageError(f"the exposures differ by more than a factor of {WIDEST_RATIO:g}")
 
 
 def check_exposures(exposures: Sequence[float]) -> tuple[float, ...]:

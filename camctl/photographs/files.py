@@ -16,6 +16,7 @@ from camctl.findings import Detail, Finding
 from camctl.interface.camera import CameraInfo, Pixels
 from camctl.interface.colour import BT709, CameraColour
 from camctl.interface.controls import Layout
+from camctl.model.effective import check_ratio
 from camctl.photographs.camera import Photograph
 from camctl.photographs.moves import Move, overlap
 from camctl.stills.exif import StatedExposure
@@ -104,6 +105,7 @@ class PhotographFiles:
             _check_alike(path, this, self._paths[0], found)
             self._keep(position, pixels)
         assert found is not None  # there is a file
+        check_ratio([each.exposure for each in self.photographs])
         self.format = found
         if len(cameras) > 1:
             whose = " and ".join(f"{name} by {model}" for model, name in cameras.items())

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from camctl.errors import DataError, UsageError, unknown_name
 from camctl.interface.controls import Layout
+from camctl.model.effective import check_ratio
 from camctl.model.noise import FrameNoise, NoiseModel
 from camctl.model.response.camera import CameraResponse, linear_response, standard_response
 
@@ -29,6 +30,7 @@ def checked_frames(frames: Iterable[ArrayLike], exposures: Sequence[float]) -> l
         )
     if not all(math.isfinite(each) and each > 0 for each in exposures):
         raise UsageError(f"invalid exposures {list(exposures)}: expected finite numbers above 0")
+    check_ratio(exposures)
     first = pictures[0]
     for each in pictures:
         if each.dtype.kind != "u" or each.dtype.itemsize > 2:

@@ -222,6 +222,7 @@ def _exr_attribute(name: str, value: Attribute) -> bytes:
 
 def _ratio(value: float) -> tuple[int, int]:
     """Return a number as numerator and denominator, each of at most 32 bits."""
+    value = min(value, float(_LARGEST_INTEGER))
     ratio = Fraction(value).limit_denominator(round(_LARGEST_INTEGER / max(value, 1.0)))
     return ratio.numerator, ratio.denominator
 

@@ -21,7 +21,7 @@ from camctl.exposure.objective import MAX_LEVELS_WANTED
 from camctl.exposure.search.settings import relative_exposures
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureSetting
-from camctl.model.effective import check_count
+from camctl.model.effective import WIDEST_RATIO, check_count
 from camctl.pictures.files import PICTURE_FILES
 from camctl.records import REPORT as REPORT
 from camctl.records.frame import StoredFrame
@@ -41,8 +41,6 @@ _LARGEST_REPORT = 8 << 20
 _LONGEST_DETAILS = 64 << 10
 #: Characters of a file suffix at most, without the dot.
 _LONGEST_SUFFIX = 8
-#: Relative exposures of one capture differ by less than this factor.
-_WIDEST_RATIO = 1e12
 #: More stops than any light is above a range.
 _MOST_STOPS = 200
 
@@ -233,8 +231,8 @@ def _problems(report: CaptureReport | UnfinishedCapture) -> Iterator[str]:
         yield "an exposure setting is not positive and finite"
     elif not _agree(report.plan.exposures, relative_exposures(settings)):
         yield "plan.exposures do not follow from plan.settings"
-    elif max(one.exposure for one in used) > _WIDEST_RATIO * min(one.exposure for one in used):
-        yield f"the exposures differ by more than a factor of {_WIDEST_RATIO:g}"
+    elif max(one.exposure for one in used) > WIDEST_RATIO * min(one.exposure for one in used):
+        yield f"the exposures differ by more than a factor of {WIDEST_RATIO:g}"
     if not 0 < report.plan.levels_wanted <= MAX_LEVELS_WANTED:
         yield f"plan.levels_wanted is not from 0 to {MAX_LEVELS_WANTED:g}"
     light = report.plan.light

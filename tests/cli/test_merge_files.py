@@ -228,6 +228,13 @@ def test_times_that_are_given_replace_nothing_but_the_times(run: Run) -> None:
     assert [each["time_s"] for each in found["photographs"]] == [1 / 256, 1 / 256, 1 / 64]
 
 
+def test_times_are_limited_by_what_one_picture_can_hold(run: Run, series: Series) -> None:
+    error = run("merge", *series(TIMES[2:5], ".jpg", labels=(1e-20, 1, 1e20))).error
+    assert error == "the exposures differ by more than a factor of 1e+12"
+    ran = run("merge", *series(TIMES[2:5], ".jpg", labels=(1e15, 2e15, 4e15)), "-o", "long")
+    assert ran.status == 0, ran.err  # tags of files hold less
+
+
 def test_a_damaged_photograph_is_named_with_the_place(run: Run, series: Series) -> None:
     line = series(TIMES[2:6], ".jpg")
     data = Path("p03.jpg").read_bytes()

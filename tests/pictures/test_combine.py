@@ -440,6 +440,7 @@ def test_noise_that_the_frames_do_not_show_gives_no_standard_deviation(
         ([], [], {}, camctl.UsageError),
         ([np.zeros((4, 4), "u1")], [1, 2], {}, camctl.UsageError),
         ([np.zeros((4, 4), "u1")], [0], {}, camctl.UsageError),
+        ([np.zeros((4, 4), "u1")] * 2, [1e-20, 1e20], {}, camctl.UsageError),
         ([np.zeros((4, 4), "u2")], [1], {}, camctl.UsageError),
         ([np.zeros((4, 4), "u1")], [1], {"white": 256}, camctl.UsageError),
         ([np.zeros((4, 4), "u1")], [1], {"method": "median"}, camctl.UsageError),
