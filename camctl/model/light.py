@@ -186,8 +186,8 @@ class LightTables:
         self._kept = (found.share > _NOTABLE / len(exposures)) | near
         self._near = near & (found.weight == 0)
         self._above = found.above & (found.weight == 0)
-        self._above_any = self._above.any(axis=0)
-        # Compression lowers saturated samples beside others: such a frame does not count.
+        # Compression lowers saturated samples beside others, and lifts some to white: such a frame
+        # does not count, and what is white says no more than the noise of its frame.
         first = frames.noise[0]
         is_compressed, self._white = bool(first.compression_levels), sensor.white
         if is_compressed:
@@ -196,6 +196,9 @@ class LightTables:
             is_compressed = True
             error = math.sqrt(first.file.by_contrast(np.zeros(1))[0])
             self._white -= math.ceil(CLIPPING_SIGMAS * error)
+        if is_compressed:
+            self._above = self._near
+        self._above_any = self._above.any(axis=0)
         lost = found.saturated & (found.share == 0) if is_compressed else found.saturated
         self._saturating = np.argmax(lost, axis=1)
         self.spreads: Floats32 = found.spread.astype(np.float32)

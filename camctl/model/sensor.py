@@ -122,7 +122,8 @@ class SensorModel:
         variance = self.variance(light, noise)
         if noise.file is None and not noise.compression_levels:
             return variance
-        square = np.square(self.step(light))
+        # They end at white: the nearer the light, the less is left of them.
+        square = np.square(np.interp(light, self.light, self.gap))
         if noise.file is not None:
             square = np.maximum(square, _LEAST_SQUARE)
             variance = noise.file.error(variance / square) * square

@@ -319,6 +319,29 @@ def test_light_beside_saturated_colours_is_as_exact_as_with_all_frames() -> None
     assert mine < other
 
 
+def test_white_beside_lamps_in_jpeg_files_is_not_taken_for_light_above_full_scale(
+    real_data: Path,
+) -> None:
+    """Compression lifts some samples to white: with a shoulder they moved light by half of it."""
+    real, rng = camera(60, real_data), np.random.default_rng(5)
+    light, exposures = np.full((256, 256), 0.02), [1.0, 3.0, 9.0, 27.0]
+    for _ in range(150):
+        row, column, side = (int(each) for each in rng.integers((0, 0, 2), (240, 240, 12)))
+        lamp = math.exp(rng.uniform(math.log(0.02), math.log(0.95)))
+        light[row : row + side, column : column + side] = lamp
+    frames = []
+    for each in shot(light, exposures, real, FrameNoise(20.0, 0.9)):
+        data = cv2.imencode(".jpg", each, [cv2.IMWRITE_JPEG_QUALITY, 85])[1]
+        frames.append(np.asarray(cv2.imdecode(data, 0), np.uint8))
+    found = camctl.combine(frames, exposures, response=real)
+    known = (found.mask & 3 == 0) & np.isfinite(found.sd)
+    mine, rival = (
+        np.sqrt(np.mean(np.log(np.maximum(each, 1e-6) / light)[known] ** 2))
+        for each in (found.irradiance, debevec(frames, exposures, real))
+    )
+    assert mine < rival / 2
+
+
 def test_detail_that_all_jpeg_files_lose_alike_is_part_of_the_standard_deviation() -> None:
     """It is in no difference of frames: errors were twice as large as their `sd`."""
     real, exposures = camera("srgb"), tuple(1.7**k for k in range(12))
