@@ -31,7 +31,7 @@ from camctl.model.inverse import Posterior, posterior_of
 from camctl.model.noise import FrameNoise, MeasuredNoise
 from camctl.model.response.desired import DesiredResponse
 from camctl.pictures.details import PictureDetails, ShownFrame
-from camctl.pictures.frame_light import FrameLight, Quality, frame_light, parts_of
+from camctl.pictures.frame_light import FrameLight, frame_light, parts_of
 from camctl.pictures.ghosts.choice import find_ghosts
 from camctl.pictures.ghosts.replacement import Ghosts
 from camctl.pictures.light_shares import LightShares, light_shares
@@ -102,23 +102,17 @@ def complete(
     tables = tuple(map(Tables.of, shot.posteriors))
     outside = light_shares(controls.layout, total, tables, shot.desired)
     achieved = _achieved(unfinished, shot, controls, outside)
-    movement, measured = _evidence(
-        shot,
-        checks,
-        controls,
-        store,
-        total.shape,
-        achieved.effective_levels,
-        agrees=unfinished.trustworthy,
-    )
+    known = shot.noise if controls.noise else None
+    movement = find_movement(store.rows, total.shape, checks.pairs(shot.exposures, known))
+    agrees = unfinished.trustworthy and (movement is None or not movement.found.is_local)
+    measured = _measured(shot, checks, controls, achieved.effective_levels, agrees=agrees)
     light = _light(shot, checks, controls)
     quality = light.quality(checks.samples)
     achieved = achieved.model_copy(update={"measured": measured, "gain_over_sum": quality.gain})
     ghosts = None
     if unfinished.request.deghost and movement is not None:
-        ghosts = find_ghosts(
-            movement, store.rows, total, light, shot.exposures, checks.samples, controls.black
-        )
+        lit = (total, light, shot.exposures, checks.samples, controls.black)
+        ghosts = find_ghosts(movement, store.rows, *lit)
     checks.end()
     return_free_memory()
     rendering = Rendering(
@@ -135,14 +129,13 @@ def complete(
     )
     details = _details(unfinished, shot, checks, controls, outside, movement)
     files = store.keep_pictures(total, rendering, details)
-    writing_s = time.perf_counter() - began
     findings = [
         *unfinished.plan.findings,
         *unfinished.findings,
         *_light_findings(unfinished, total, controls, achieved),
         *_movement_findings(unfinished, movement, ghosts, repeatable=controls.repeatable),
         *_measured_findings(achieved),
-        *_noise_findings(quality),
+        *([Finding(code="noise_unknown", value=quality.unknown)] if quality.unknown else []),
     ]
     simulation = simulation_summary(shot.frames)
     shared = UnfinishedCapture.model_fields.keys() & CaptureReport.model_fields.keys()
@@ -152,7 +145,7 @@ def complete(
             "status": "complete",
             "findings": findings,
             "taken_at": details.taken_at,
-            "timing": {**unfinished.timing, "writing_s": writing_s},
+            "timing": {**unfinished.timing, "writing_s": time.perf_counter() - began},
             "frames": _records(shot, without=without_plan if simulation else dict),
             "achieved": achieved,
             "simulation": simulation,
@@ -233,31 +226,26 @@ def _achieved(
     )
 
 
-def _evidence(
+def _measured(
     shot: _Shot,
     checks: FrameChecks,
     controls: ExposureControls,
-    store: CaptureStore,
-    shape: tuple[int, ...],
     effective_levels: float,
     *,
     agrees: bool,
-) -> tuple[Movement | None, MeasuredNoise | None]:
-    """Return what moved, and the noise that the pixels show.
+) -> MeasuredNoise | None:
+    """Return the noise that the pixels show.
 
     Noise that contradicts the known one is left out where things moved, or where frames do not
     agree in their exposures: it may come from that.
     """
-    pairs = checks.pairs(shot.exposures, shot.noise if controls.noise else None)
-    movement = find_movement(store.rows, shape, pairs)
-    measured = measure_noise(
+    found = measure_noise(
         controls.levels, shot.desired, checks.samples, shot.exposures, shot.noise, shot.gains
     )
-    moved = movement is not None and movement.found.is_local
-    is_doubtful = bool(controls.noise) and (moved or not agrees)
-    if is_doubtful and measured is not None and measured.contradicts(effective_levels):
-        measured = None
-    return movement, measured
+    is_doubtful = bool(controls.noise) and not agrees
+    if is_doubtful and found is not None and found.contradicts(effective_levels):
+        return None
+    return found
 
 
 def _light(shot: _Shot, checks: FrameChecks, controls: ExposureControls) -> FrameLight:
@@ -272,11 +260,6 @@ def _light(shot: _Shot, checks: FrameChecks, controls: ExposureControls) -> Fram
         gains=shot.gains,
         prior=shot.desired,
     )
-
-
-def _noise_findings(quality: Quality) -> list[Finding]:
-    """Return that standard deviations are not known, where the frames do not show their noise."""
-    return [Finding(code="noise_unknown", value=quality.unknown)] if quality.unknown else []
 
 
 def _details(

@@ -3,9 +3,7 @@
 Colours change within a cell of 2 x 2 pixels where they change around it (`camctl.evidence.chroma`),
 most of all beside what is saturated, which has no colour.  There a sample may be saturated that its
 file makes darker, and says nothing then: its weight is multiplied by the chance that it is not, as
-the other frames show it.  Frames are joined from the shortest to the longest, each
-with the inverse of its variance, and one that contradicts the shorter ones does not count: what
-saturation does to a sample makes it darker.
+the other frames show it (`camctl.model.joined_frames`).
 """
 
 from __future__ import annotations
@@ -19,9 +17,9 @@ from numpy.typing import NDArray
 from camctl.evidence.chroma import brightness, chroma_variance
 from camctl.evidence.lost_detail import LostDetail
 from camctl.evidence.patches import SIDE
-from camctl.model.distribution import normal_cdf
+from camctl.model.joined_frames import REACH, JoinedFrames, SeenFrame
 from camctl.model.light import Floats32, LightTables, cut_at_zero
-from camctl.model.sensor import CLIPPING_SIGMAS, FILE_OFFSET
+from camctl.model.sensor import FILE_OFFSET
 from camctl.system.picture_operations import box_means, looked_up
 
 #: Variance of colours, levels squared, above which it counts: that of rounding is 0.1 to 0.3.
@@ -38,8 +36,6 @@ _AROUND, _KNOWN = 2, 1.0
 _BLOCK = 1 << 14
 #: More than any light.
 _BEYOND = np.float32(1e30)
-#: Exponent of odds that are beyond doubt.
-_LARGEST_EXPONENT = 50.0
 #: Rounds: in the second one, the noise is that of the light which the first one found.
 _ROUNDS = 2
 
@@ -212,7 +208,7 @@ def _beside_saturated(
         brightest = np.maximum(np.maximum(*planes[:2]), planes[2])
         visible = largest > _VISIBLE
         hidden.append((brightest > top) & visible)
-        found |= visible & (brightest.max(axis=0) + np.float32(CLIPPING_SIGMAS) * largest > top)
+        found |= visible & (brightest.max(axis=0) + REACH * largest > top)
     return found, hidden
 
 
@@ -306,8 +302,8 @@ def _joined(
         first: light and deviation without these errors, and what they add to it
         by_cell: with the noise of a cell's mean light, whose errors choose weights less
     """
-    reach, top = np.float32(CLIPPING_SIGMAS), tables.sensor.highest(None)
-    saturated = {at: _above(each, top - reach * errors[at]) for at, each in values.items()}
+    top = tables.sensor.highest(None)
+    saturated = {at: _above(each, top - REACH * errors[at]) for at, each in values.items()}
     light = first[0]
     samples = {at: looked_up(tables.irradiance[at], each) for at, each in values.items()}
     unseen = {at: each | hidden[at] for at, each in saturated.items()} if hidden else saturated
@@ -318,102 +314,44 @@ def _joined(
     for number in range(rounds):
         bins = tables.bins(light.mean(axis=0) if by_cell else light)
         lowest, highest = int(bins.min()), int(bins.max()) + 1
-        above, weights, own, shared, more, squares, count = np.zeros((7, *light.shape), np.float32)
-        least: Any = None  # nothing yet
+        joined = JoinedFrames(light.shape, is_last=number == rounds - 1)
         for at, sample in samples.items():
             counts = values[at] <= top
             if tables.clipped[at, lowest:highest].any():
                 counts &= ~tables.clipped[at].take(bins)
             if not (is_unseen[at] or counts.any()):
                 continue
-            saturates = np.float32(tables.sensor.full / tables.exposures[at])
-            noise = tables.variances[at].take(bins)
-            error = errors[at] * tables.steps[at].take(bins)
-            both = noise + np.square(error)
-            # Nothing is known, and these are not numbers, before the first frame that counts.
-            mean = above / weights
-            bright = mean > saturates / 4
-            if is_dim[at] or bright.any():  # else no frame is darker than the mean
-                counts &= (weights > 0) | ~saturated[at]
-                known = np.sqrt(own + np.square(shared)) / weights
-                counts &= ~(mean - reach * known > saturates)
-                spread = np.sqrt(np.square(known) + both)
-                counts &= ~((sample < mean - reach * spread) & bright)
-            # What may be saturated says how much light there is at least, and so do longer ones.
-            if least is not None or is_unseen[at]:
-                reached = reach * np.sqrt(both)
-                least = np.float32(0) if least is None else least
-                counts &= ~(sample + reached < least)
-                if is_unseen[at]:
-                    least = np.maximum(least, (sample - reached) * unseen[at])
+            frame = SeenFrame(
+                sample,
+                tables.variances[at].take(bins),
+                errors[at] * tables.steps[at].take(bins),
+                (errors[at], tables.sensor.white - values[at]) if is_dim[at] else None,
+                saturated[at],
+                unseen[at] if is_unseen[at] else None,
+                least_errors.get(at),
+                np.float32(tables.sensor.full / tables.exposures[at]),
+            )
+            counts = joined.add(frame, counts)
             if by_cell:
                 is_even &= (counts == counts[0]).all(axis=0)
-            weight = counts / both
-            if is_dim[at]:
-                below = tables.sensor.white - values[at]
-                others = (mean, known, spread, sample, error, below, errors[at])
-                _lessen(weight, counts & saturated[at], others, saturates)
-            weighted = weight * sample
-            above += weighted
-            own += np.square(weight) * noise
-            shared += weight * error
-            if number == rounds - 1 and at in least_errors:
-                more += weight * np.maximum(least_errors[at] - error, 0)
-            weights += weight
-            if number == rounds - 1:
-                squares += weighted * sample
-                count += weight * both
+        weights, above, own, shared = joined.weights, joined.above, joined.own, joined.shared
         found = weights > 0
         total = weights + ~found
         light = np.asarray(above / total + ~found * first[0], np.float32)
         spread, narrower = np.sqrt(1 / total), np.ones(light.shape, np.float32)
-        near = np.nonzero(found & (light < reach * spread))
+        near = np.nonzero(found & (light < REACH * spread))
         if near[0].size:
             narrower[near] = cut_at_zero(light, spread[near].astype(np.float64), near)
-    scatter = np.maximum(squares - np.square(above) / total, 0)
-    expected = count - (own + np.square(shared)) / total
+    scatter = np.maximum(joined.squares - np.square(above) / total, 0)
+    expected = joined.count - (own + np.square(shared)) / total
     # Where frames contradict each other, their mean is no better than any of them.
-    common = np.maximum(narrower * (shared + more) / total, apart / 2) + ~found * first[2]
+    common = np.maximum(narrower * (shared + joined.more) / total, apart / 2) + ~found * first[2]
     # What is saturated, the shortest frame says best.
     missing = np.where(next(iter(unseen.values())), np.float32(np.inf), first[1])
     deviation = np.where(found, np.asarray(narrower * np.sqrt(own) / total, np.float32), missing)
     deviation[np.isnan(first[1])] = np.nan
     is_even &= (found & (apart == 0)).all(axis=0)
     return _Joined(light, deviation, common, scatter, expected), is_even
-
-
-def _lessen(
-    weight: Floats32, chosen: NDArray[np.bool_], shown: Sequence[NDArray[Any]], saturates: Any
-) -> None:
-    """Multiply weights of chosen samples by the chance that they are seen; see there for the rest.
-
-    What is `shown` may be that of cells, (C,), for samples (4, C).
-    """
-    some = np.flatnonzero(chosen)
-    if some.size:
-        cells = some % weight.shape[-1]
-        here = [each.ravel().take(some if each.size == weight.size else cells) for each in shown]
-        weight.ravel()[some] *= _chance_of_seeing(here, saturates)
-
-
-def _chance_of_seeing(shown: Sequence[NDArray[Any]], saturates: np.float32) -> NDArray[Any]:
-    """Return the probability that samples are not saturated and then made darker by their file.
-
-    These are the likelihoods of both for what other frames show, a normal variable.
-
-    Args:
-        shown: light that other frames show, its standard deviation, that of its difference from
-            the samples; light of these, and the errors of their colours as light; how many levels
-            they are below saturation, and the errors of their colours as levels
-        saturates: light that saturates them
-    """
-    mean, known, spread, sample, error, below, levels = shown
-    is_above = normal_cdf(((mean - saturates) / known).astype(np.float64))
-    exponent = (np.square((sample - mean) / spread) - np.square(below / levels)) / 2
-    is_saturated = is_above * np.exp(np.minimum(exponent, _LARGEST_EXPONENT)) * spread
-    # Where levels coincide, no error of colours is a difference of light.
-    either = np.where(error > 0, error + is_saturated, 1)
-    return np.asarray(error / either, np.float32)
 
 
 def _contradiction(
@@ -443,12 +381,11 @@ def _contradiction(
     Returns:
         that, and the least errors of the light of frames where saturation may make them darker
     """
-    reach = np.float32(CLIPPING_SIGMAS)
     sensor = tables.sensor
     offset = (FILE_OFFSET / 255 * (sensor.white - sensor.black)) ** 2
     shape = next(iter(samples.values())).shape
     low, high = np.zeros(shape, np.float32), np.full(shape, _BEYOND)
-    levels = (sensor.highest(None) - np.arange(sensor.white + 1)) / reach
+    levels = (sensor.highest(None) - np.arange(sensor.white + 1)) / REACH
     to_saturation = (tables.of_values[0] * np.square(levels)).astype(np.float32)
     lost, least_errors = np.zeros(shape, np.float32), {}
     for at, sample in samples.items():
@@ -462,7 +399,7 @@ def _contradiction(
         square *= np.square(errors[0][at]) + np.float32(offset)
         square += noise
         reached = np.sqrt(square, out=square)
-        reached *= reach
+        reached *= REACH
         least, most = sample - reached, sample + reached
         if unseen[at].any():
             least, most = least * ~unseen[at], most + unseen[at] * _BEYOND
