@@ -173,7 +173,10 @@ def exposure_runs(
     def jump(dark: int, bright: int) -> _Jump:
         ratio = pair_ratio(patches[dark], patches[bright], scale)
         stated = math.log(photographs[bright].exposure / photographs[dark].exposure)
-        return None if ratio is None else (ratio.log - stated, ratio.error)
+        # Where the response is not known for most of what is compared, the ratio is not, either.
+        if ratio is None or not math.isfinite(ratio.of_curve):
+            return None
+        return ratio.log - stated, ratio.error
 
     return _runs(patches, jump)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -54,6 +56,15 @@ def test_a_wrong_label_is_named_with_its_factor(place: int, factor: float) -> No
     assert (wrong.code, wrong.frames) == ("label_wrong", (place,))
     # Three levels of offset are 15 % of the light in the darkest photograph.
     assert wrong.value == pytest.approx(1 / factor, rel=0.16)
+
+
+def test_where_the_response_is_not_known_no_label_is_checked() -> None:
+    levels = standard_response("power", 8, phase=0.5)
+    scale = SensorModel(replace(levels, deviation=np.full(levels.M, np.inf)), 0)
+    stated = [Photograph(f"p{k}", each, each / 100) for k, each in enumerate(TRUE_S[::-1])]
+    errors = wrong_labels(stated, PATCHES, scale, is_exact=False, is_known=False)
+    assert errors.notes == []
+    assert [each.frames for each in errors.facts] == [(0, 1, 2, 3, 4)]
 
 
 def test_swapped_labels_are_named_together_with_another_wrong_one() -> None:
