@@ -23,7 +23,7 @@ from camctl.findings import Finding
 from camctl.interface.camera import Camera, Pixels
 from camctl.interface.controls import ExposureControls, Layout, ResponseOrigin
 from camctl.model.noise import FrameNoise
-from camctl.model.sensor import ESTIMATED_RESPONSE_ERROR, RESPONSE_ERROR
+from camctl.model.sensor import ESTIMATED_RESPONSE_ERROR, FILE_OFFSET, RESPONSE_ERROR
 from camctl.pictures.details import thumbnail
 from camctl.records.frame import ExposureRatio, StoredFrame
 from camctl.records.report import UnfinishedCapture
@@ -48,6 +48,7 @@ class FrameChecks:
             self._controls.layout,
             pairs=len(capture.plan.settings) - 1,
             response_error=_response_error(self._controls),
+            offset=_offset(self._controls),
         )
         self._shots: list[FrameSample] = []  # of all sequences, in their order
         self._awaited: set[int] = set()
@@ -281,3 +282,9 @@ def _response_error(controls: ExposureControls) -> float:
     is_estimated = controls.response_origin is not ResponseOrigin.STATED
     is_of_photographs = is_estimated and not controls.exposures_exact
     return ESTIMATED_RESPONSE_ERROR if is_of_photographs else RESPONSE_ERROR
+
+
+def _offset(controls: ExposureControls) -> float:
+    """Return the standard deviation of the offset of frames, which photographs of 8 bits have."""
+    is_of_photographs = not controls.exposures_exact and controls.noise is None
+    return FILE_OFFSET if is_of_photographs and controls.bits == 8 else 0.0

@@ -86,6 +86,7 @@ class NeighbourCheck:
         layout: pixel layout of a frame
         pairs: of frames in a capture, over which the significance level is divided
         response_error: standard deviation of the relative error of the response
+        offset: that of the offset of a frame of unknown noise, levels of 255; see `FILE_OFFSET`
 
     Attributes:
         scale: irradiance of each brightness
@@ -98,9 +99,11 @@ class NeighbourCheck:
         layout: Layout = Layout.MONO,
         pairs: int = 1,
         response_error: float = RESPONSE_ERROR,
+        offset: float = 0.0,
     ) -> None:
         self._response_error = response_error
         self.scale = SensorModel(real, black)
+        self._offset = offset / 255 * real.M
         self._layout = layout
         self._sigmas = significant_sigmas(pairs)
         self._samples: dict[int, FrameSample] = {}
@@ -247,7 +250,10 @@ class NeighbourCheck:
         # deviation of what is uniform up to it.
         added = 12**-0.5 * MOST_OFFSET * sensor.full
         added = math.hypot(added, BLACK_ERROR_LEVELS * sensor.level * (1 - 1 / ratio))
-        seen, least = part.light + part.error, np.hypot(sigmas, added)
+        of_short = self._offset_light(part.light)
+        of_long = self._offset_light(part.light * ratio) / ratio
+        uncertain = np.hypot(np.hypot(of_short, of_long), added)
+        seen, least = part.light + part.error, np.hypot(sigmas, uncertain)
         # The geometric mean of both frames: neither alone decides which patches count.
         product = np.maximum(part.light, least) * np.maximum(seen, least)
         used = np.sqrt(product) >= self._sigmas * least
@@ -255,16 +261,20 @@ class NeighbourCheck:
         logs, counts = np.log(seen / light), part.count[used]
         if not logs.size:
             return _Votes(logs, logs, counts, 0.0, 0.0)
-        relative, added = sigmas[used] / light, added / light
+        relative, uncertain = sigmas[used] / light, uncertain[used] / light
         # Errors of rounding, and parts of a picture that differ, are alike where brightness is.
         different = np.unique(np.rint(part.brightness[used])).size
         shared = np.sqrt(part.shared[used]) / light
-        middle, extra, weights = _fitted(logs, np.hypot(relative, added), self._sigmas)
+        middle, extra, weights = _fitted(logs, np.hypot(relative, uncertain), self._sigmas)
         total = float(weights.sum())
-        added, shared = (float((weights * each).sum()) / total for each in (added, shared))
+        added, shared = (float((weights * each).sum()) / total for each in (uncertain, shared))
         rest = math.hypot(shared, extra) / math.sqrt(different)
         error = math.hypot(self._response_error, added, rest, 1 / math.sqrt(total))
         return _Votes(logs, relative, counts, self._sigmas * error, middle)
+
+    def _offset_light(self, light: _Floats) -> _Floats:
+        """Return the light that the offset of a frame adds to samples of this light."""
+        return self._offset * self.scale.step(light)
 
     def _rough(self, short: FrameSample, long: FrameSample, ratio: float) -> float:
         """Return the logarithm of the median ratio of light over `ratio`; 0 where there is none.
@@ -278,7 +288,8 @@ class NeighbourCheck:
             np.where(usable, sensor.light[each.patches], 0.0).sum(axis=1) for each in (short, long)
         )
         # Of what is rounded to black only the most is known, which may contradict the ratio.
-        least = self._sigmas * 12**-0.5 * sensor.level * np.maximum(usable.sum(axis=1), 1)
+        least = math.hypot(12**-0.5 * sensor.level, float(self._offset_light(np.zeros(1))[0]))
+        least = self._sigmas * least * np.maximum(usable.sum(axis=1), 1)
         logs = np.log(np.maximum(one, least) * ratio / np.maximum(other, least))
         shows = ((one > least) | (logs < 0)) & ((other > least) | (logs > 0)) & usable.any(axis=1)
         shows &= (one > least) | (other > least)

@@ -13,6 +13,7 @@ from camctl.evidence.light_ratio import FrameSample, NeighbourCheck, lamp_factor
 from camctl.evidence.ratio_check import RatioCheck
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import CameraResponse, linear_response
+from camctl.model.sensor import FILE_OFFSET
 
 
 def frame_of(E: NDArray[np.float64], real: CameraResponse, black: int = 0) -> NDArray[np.uint16]:
@@ -119,6 +120,19 @@ def test_a_thing_in_two_fifths_of_the_picture_does_not_change_the_ratio(
     assert result.agrees
     assert result.measured == pytest.approx(4.0, rel=0.02)
     assert result.moved == pytest.approx(0.4, abs=0.06)
+
+
+@pytest.mark.parametrize("offset", [-2, 2])
+@pytest.mark.parametrize(("most", "true"), [(0.02, 4.0), (0.2, 4.0), (0.2, 1.0), (0.2, 2.8)])
+def test_the_offset_of_a_photograph_makes_no_ratio_wrong_and_hides_no_wrong_one(
+    offset: int, most: float, true: float
+) -> None:
+    real, rng = linear_response(8), np.random.default_rng(1)
+    E = np.exp(rng.uniform(np.log(most / 24), np.log(most), (40, 50))).repeat(8, 0).repeat(8, 1)
+    check = NeighbourCheck(real, 0, offset=FILE_OFFSET)
+    short = np.maximum(frame_of(E, real).astype(np.int64) + offset, 0).astype(np.uint16)
+    result = check.compare(check.sample(short), check.sample(frame_of(E * true, real)), 4.0)
+    assert result.contradicts == (true != 4.0)
 
 
 def test_few_electrons_do_not_shift_the_ratio() -> None:
