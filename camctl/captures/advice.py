@@ -151,7 +151,13 @@ def _wider(request: CaptureRequest, plan: CapturePlan, controls: ExposureControl
     if request.response == CURVE:
         return {"desired_curve": None}, {}
     if not controls.repeatable:
-        return ({"response": LOG} if plan.desired.name != LOG else {}), {}
+        if plan.desired.name != LOG:
+            return {"response": LOG}, {}
+        # What is dark in the picture, and not in all photographs, a larger range shows.
+        if plan.light is not None and plan.light.unseen <= MOST * plan.light.dark:
+            left = plan.light.unseen
+            return {"dynamic_range": AUTO}, {"left": left} if left > MUCH else {}
+        return {}, {}
     if request.base_s is not None:
         return {"base_s": False, "dynamic_range": AUTO}, {}
     if request.ratios is not None:

@@ -35,7 +35,7 @@ _STANDARDS, _PHASES = ("srgb", "rec709", "linear"), (0.0, 0.5)
 #: 516 (a quarter of a stop); of one that is known exactly.
 _SHUTTER, _EXACT = 0.05, 0.002
 #: Origins of a response that was found in the photographs themselves.
-_FITTING, ASSUMED = "{}, which fits the photographs", "srgb, assumed"
+_FITTING, ASSUMED = "{}, which fits the photographs best", "srgb, assumed"
 _ESTIMATED = "estimated from the photographs"
 _ESTIMATED_COMMON = "estimated from the photographs, one for all colours"
 OF_THEIR_EXPOSURES = (ASSUMED, _ESTIMATED, _ESTIMATED_COMMON)

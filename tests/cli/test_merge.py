@@ -35,7 +35,16 @@ def test_a_series_becomes_a_radiance_map_without_warnings(run: Run, series: Seri
     names = {path.name for path in Path("hall").iterdir()}
     assert {"sum.tiff", "image.tiff", "radiance.exr", "preview.png", "report.json"} <= names
     assert "p05.png" in ran.out
-    assert "response: srgb, which fits the photographs" in ran.out
+    assert "response: srgb, which fits the photographs best" in ran.out
+
+
+def test_what_longer_photographs_show_is_said_to_need_a_larger_range(
+    run: Run, series: Series
+) -> None:
+    ran = run("merge", *series(FEW), "--curve", "srgb", "--range", "3", "-o", "hall")
+    (finding,) = [x for x in read_report("hall").findings if x.code == "light_below_range"]
+    assert finding.remedies == {"dynamic_range": "auto"}
+    assert "of 1:3: let the light decide the range (--range auto)" in ran.err
 
 
 @pytest.mark.slow
