@@ -37,9 +37,17 @@ WHERE = {
 }
 
 
+def statements(parent: ast.AST) -> Iterator[ast.AST]:
+    """Yield all statements in a file, but not their expressions, which are most of its tree."""
+    for node in ast.iter_child_nodes(parent):
+        if isinstance(node, ast.stmt | ast.excepthandler | ast.match_case):
+            yield node
+            yield from statements(node)
+
+
 def imported(path: Path) -> Iterator[str]:
     """Yield the first names of the modules that a file imports, wherever it does."""
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    for node in statements(ast.parse(path.read_text("utf-8"))):
         names = [each.name for each in node.names] if isinstance(node, ast.Import) else []
         if isinstance(node, ast.ImportFrom) and node.module and not node.level:
             names = [node.module]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import cv2
 import numpy as np
 import pytest
@@ -34,9 +36,17 @@ def photographs(quality: int, gains: tuple[float, float, float]) -> list[NDArray
     return found
 
 
+@functools.cache
+def noise_of(
+    quality: int, gains: tuple[float, float, float]
+) -> tuple[tuple[camctl.FrameNoise, ...], ...]:
+    """Return the noise that is found in the photographs, of each frame and channel."""
+    return camctl.combine(photographs(quality, gains), EXPOSURES).noise
+
+
 @pytest.mark.parametrize("quality", [95, 98])
 def test_noise_of_colours_is_found_as_it_was_before_the_file(quality: int) -> None:
-    found = camctl.combine(photographs(quality, (1, 1, 1)), EXPOSURES).noise
+    found = noise_of(quality, (1, 1, 1))
     green = found[1][0]
     assert green.electrons_per_level == pytest.approx(ELECTRONS, rel=0.1)
     assert green.read_noise_levels == pytest.approx(READ, rel=0.1)
@@ -46,7 +56,7 @@ def test_noise_of_colours_is_found_as_it_was_before_the_file(quality: int) -> No
 
 
 def test_more_noise_of_red_by_a_white_balance_is_found() -> None:
-    even, red = (camctl.combine(photographs(98, (gain, 1, 1)), EXPOSURES).noise for gain in (1, 2))
+    even, red = (noise_of(98, (gain, 1, 1)) for gain in (1, 2))
     own, other = (
         each[0][0].electrons_per_level / each[1][0].electrons_per_level for each in (red, even)
     )
