@@ -40,10 +40,11 @@ def test_memory_for_the_pictures_does_not_follow_the_number_of_frames(
         write_picture_files(*arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr("camctl.records.folder_store.write_picture_files", measured)
-    for number, count in enumerate((2, 4, 16)):  # the first one imports modules, too
+    for number, count in enumerate((2, 3, 9)):  # the first one imports modules, too
         request = camctl.CaptureRequest(ratios=tuple(1.1**k for k in range(count)))
         with camctl.open_camera("sim", scene="ramp", size="640x640") as camera:
-            tracemalloc.start()
+            if number:  # tracing all that is imported would take longer than the rest
+                tracemalloc.start()
             camctl.capture(camera, request, tmp_path / str(number))
             tracemalloc.stop()
-    assert before[2] - before[1] < 12 * (4761 * 64 * 2)
+    assert before[2] - before[1] < 6 * (4761 * 64 * 2)

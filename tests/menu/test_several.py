@@ -229,7 +229,7 @@ def test_cameras_are_marked_and_opened_together() -> None:
 def test_a_calibration_says_what_each_step_has_measured_and_keeps_it(
     start: Callable[..., tuple[CameraJob, Cameras]],
 ) -> None:
-    job, cameras = start(a={"size": "320x240"})
+    job, cameras = start(a={"size": "160x120"})
     seen: list[Progress] = []
     found = job.calibrate("still", seen.append, never)
     parts = ("control delay: ", "response: ", "exposures: ", "noise: ")

@@ -292,7 +292,7 @@ def test_light_beside_saturated_colours_is_that_of_each_sample_by_itself(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """It depended on which other samples were computed at the same time."""
-    real, exposures, light = camera("srgb"), (1.0, 2.0, 4.0, 8.0, 16.0), windows()
+    real, exposures, light = camera("srgb"), (1.0, 2.0, 4.0, 8.0, 16.0), windows(96, 144)
     lossy = []
     for each in shot(light, exposures, real, FrameNoise(30.0, 0.7)):
         data = cv2.imencode(".jpg", each[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])[1]
