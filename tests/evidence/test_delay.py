@@ -179,7 +179,7 @@ PROOF = (pytest.mark.slow, pytest.mark.proof)
 @pytest.mark.parametrize(
     ("assumed", "true", "unknown", "ratios"),
     [
-        *some(every_delay(0), every=6),
+        *some(every_delay(0), every=11),
         *(pytest.param(*each, marks=PROOF) for each in every_delay(1)),
     ],
 )
