@@ -62,7 +62,7 @@ class JoinedFrames:
             np.zeros((7, *shape), np.float32)
         )
         self._least: Any = None  # light that there is at least; nothing yet
-        self._is_last = is_last  # the last three are of this round alone
+        self._is_last = is_last  # of the rounds: no other one needs the last three sums
 
     def add(self, frame: SeenFrame, counts: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Add those samples of a frame that count beside shorter frames, and return which they are.

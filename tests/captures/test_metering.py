@@ -23,7 +23,7 @@ from camctl.interface.controls import (
     Layout,
     ResponseOrigin,
 )
-from camctl.model.response.camera import standard_response
+from camctl.model.response.camera import CameraResponse, standard_response
 from camctl.photographs.camera import Photograph, PhotographCamera
 from camctl.profiles.calibrated import open_camera
 from camctl.profiles.profile import change_profile
@@ -166,19 +166,7 @@ def test_photographs_of_any_length_are_metered() -> None:
         ).astype(np.uint8)
         for time_s in times
     ]
-    controls = ExposureControls(
-        time_s=Choices((1.0,)),
-        shape=(60, 80),
-        layout=Layout.RGB,
-        bits=8,
-        black=0,
-        white=255,
-        response=srgb,
-        responses=responses,
-        response_origin=ResponseOrigin.STATED,
-    )
-    photographs = [Photograph(f"{time_s:g}", time_s) for time_s in times]
-    camera = PhotographCamera(photographs, frames.__getitem__, controls)
+    camera = photographs_of(dict(zip(times, frames, strict=True)), responses)
     source = MeteringFrames(camera)
     found = light_histogram(source, meter(source))
     for threshold in (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1):
@@ -233,32 +221,40 @@ def test_lamps_clip_alone_where_they_are_apart(
     assert light.upper_end(None, None) == (1.0 if is_apart else cut)
 
 
-def photographs_of(levels: dict[float, int]) -> PhotographCamera:
-    """Return the camera of photographs of one brightness each, by their times, s."""
+def photographs_of(
+    frames: dict[float, NDArray[np.uint8]], responses: Sequence[CameraResponse] = ()
+) -> PhotographCamera:
+    """Return the camera of photographs by their times, s, of 8 bits with the curve of sRGB."""
+    pixels = list(frames.values())
     controls = ExposureControls(
         time_s=Choices((1.0,)),
-        shape=(40, 50),
-        layout=Layout.MONO,
+        shape=pixels[0].shape[:2],
+        layout=Layout.RGB if pixels[0].ndim == 3 else Layout.MONO,
         bits=8,
         black=0,
         white=255,
         response=standard_response("srgb", 8),
+        responses=tuple(responses),
         response_origin=ResponseOrigin.STATED,
     )
-    frames = [np.full((40, 50), level, np.uint8) for level in levels.values()]
-    photographs = [Photograph(f"{time_s:g}", time_s) for time_s in levels]
-    return PhotographCamera(photographs, frames.__getitem__, controls)
+    photographs = [Photograph(f"{time_s:g}", time_s) for time_s in frames]
+    return PhotographCamera(photographs, pixels.__getitem__, controls)
+
+
+def flat(levels: dict[float, int]) -> dict[float, NDArray[np.uint8]]:
+    """Return frames of one brightness each, by the times of the photographs, s."""
+    return {time_s: np.full((40, 50), level, np.uint8) for time_s, level in levels.items()}
 
 
 def test_shortest_photograph_is_metered_where_the_next_one_is_far_longer() -> None:
-    metering = meter(MeteringFrames(photographs_of({1 / 4096: 180, 0.5: 255, 2.0: 255})))
+    metering = meter(MeteringFrames(photographs_of(flat({1 / 4096: 180, 0.5: 255, 2.0: 255}))))
     assert metering.setting.time_s == 1 / 4096
     assert metering.clipped == 0
 
 
 def test_photographs_are_not_a_camera_that_does_not_follow() -> None:
     """Their exposures are checked where they are opened, and nobody can take them again."""
-    source = MeteringFrames(photographs_of({1 / 64: 40, 1.0: 41}))
+    source = MeteringFrames(photographs_of(flat({1 / 64: 40, 1.0: 41})))
     assert [source.take(ExposureSetting(time_s)).pixels[0, 0] for time_s in (1 / 64, 1.0)] == [
         40,
         41,

@@ -237,11 +237,15 @@ class GapFilling:
             row: natural logarithms of ascending exposures
             step: distance of two exposures, relative to the shortest
         """
+        return np.log1p(self._numbers(row, step) * step)
+
+    def _numbers(self, row: FloatArray, step: float) -> FloatArray:
+        """Return the numbers of steps of `rounded`, (n,)."""
         longest = math.floor(math.expm1(self.reach) / step * (1 + SAME))
         number = np.minimum(np.round(np.expm1(row) / step), longest)
         if self.within.total(np.log1p(number * step)[np.newaxis])[0] > self.within.limit:
             number = np.floor(np.expm1(row) / step + SAME)
-        return np.log1p(number * step)
+        return np.asarray(number)
 
     def stepped(self, row: FloatArray, step: float, most: int) -> FloatArray:
         """Return a set (n,) in whole steps of the exposure, of little error among its neighbours.
@@ -253,10 +257,9 @@ class GapFilling:
             step: distance of two exposures, relative to the shortest
             most: levels that are placed and sorted for this, at most
         """
-        row = self.rounded(row, step)
-        number, moves = np.round(np.expm1(row) / step), np.concatenate([-MOVES, MOVES])
+        number, moves = self._numbers(row, step), np.concatenate([-MOVES, MOVES])
         left = most // self.response.M
-        error, since, place = self.error(row), 0, 0
+        error, since, place = self.error(np.log1p(number * step)), 0, 0
         while since < row.size - 1 and left > 0:
             place = place % (row.size - 1) + 1
             trials, errors = self._moved(number, place, moves, step)
