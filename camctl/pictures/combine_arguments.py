@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from numbers import Integral, Real
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -23,6 +24,8 @@ Response: TypeAlias = CameraResponse | str | Sequence[CameraResponse]
 def checked_frames(frames: Iterable[ArrayLike], exposures: Sequence[float]) -> list[NDArray[Any]]:
     """Return the frames as arrays."""
     pictures = [np.asarray(each) for each in frames]
+    if not isinstance(exposures, Iterable) or not all(isinstance(x, Real) for x in exposures):
+        raise UsageError(f"invalid exposures {exposures!r}: expected a list of numbers above 0")
     if not pictures or len(pictures) != len(exposures):
         raise UsageError(
             f"invalid number of exposures: {len(exposures)} for {len(pictures)} frames",
@@ -52,8 +55,20 @@ def checked_frames(frames: Iterable[ArrayLike], exposures: Sequence[float]) -> l
 
 def white_level(dtype: np.dtype[Any], response: Response, black: int, white: int | None) -> int:
     """Return the brightness from which samples are saturated."""
-    if not isinstance(response, str | CameraResponse) and len(response) not in (1, 3):
-        raise UsageError(f"invalid response of {len(response)} curves: expected 1, or 3 of R, G, B")
+    for name, level in (("black", black), ("white", white)):
+        if level is not None and not isinstance(level, Integral):
+            raise UsageError(f"invalid {name} level {level!r}: expected an integer")
+    if not isinstance(response, str | CameraResponse):
+        curves = tuple(response) if isinstance(response, Iterable) else (response,)
+        if not all(isinstance(each, CameraResponse) for each in curves):
+            raise UsageError(
+                f"invalid response of type {type(response).__name__}: expected a name such as "
+                '"linear", a CameraResponse, or three of R, G and B'
+            )
+        if len(curves) not in (1, 3):
+            raise UsageError(
+                f"invalid response of {len(curves)} curves: expected 1, or 3 of R, G, B"
+            )
     if white is None and not isinstance(response, str):
         first = response if isinstance(response, CameraResponse) else response[0]
         white = black + first.M
@@ -92,7 +107,12 @@ def known_noise(noise: Noise, exposures: Sequence[float], black: int) -> tuple[F
     """Return the noise of each frame."""
     if isinstance(noise, NoiseModel):
         return tuple(noise.frame(gain=1.0, time_s=each, black=black) for each in exposures)
-    given = (noise,) * len(exposures) if isinstance(noise, FrameNoise) else tuple(noise)
+    given = (noise,) * len(exposures) if isinstance(noise, FrameNoise) else noise
+    if not isinstance(given, Sequence) or not all(isinstance(x, FrameNoise) for x in given):
+        raise UsageError(
+            f"invalid noise of type {type(noise).__name__}: expected a NoiseModel, a FrameNoise, "
+            "or a FrameNoise for each frame"
+        )
     return tuple(replace(each, black=black) for each in given)
 
 
