@@ -39,6 +39,10 @@ _ISO_SPEED, _SHORT, _LARGEST_SHORT = 34855, 3, 65535
 #: its values.
 _SOFTWARE, _DATE_TIME, _EXIF_IFD = 305, 306, 34665
 _ORIGINAL_DATE, _COLOUR_SPACE, _SRGB, _UNCALIBRATED = 36867, 40961, 1, 65535
+#: The same of the version.
+_EXIF_VERSION = 36864
+#: Types of values: text, an integer of 32 bits, bytes without an end mark.
+_ASCII, _LONG, _UNDEFINED = 2, 4, 7
 #: Largest of these integers: they have 32 bits.
 _LARGEST_INTEGER = 10**9
 #: Rendering intent of a PNG file in sRGB: perceptual.
@@ -128,7 +132,7 @@ def tiff_tags(details: PictureDetails) -> dict[str, Any]:
         "description": details.summary,
         "metadata": None,  # tifffile's own description is of the array
         "extratags": [
-            *((number, 2, 0, _ascii(text), True) for number, text in texts.items() if text),
+            *((number, _ASCII, 0, _ascii(text), True) for number, text in texts.items() if text),
             *(
                 (number, _RATIONAL, 1, _ratio(value), True)
                 for number, value in numbers.items()
@@ -157,6 +161,7 @@ def exif_block(details: PictureDetails) -> bytes:
     below: dict[int, bytes | int | tuple[int, int]] = {
         _EXPOSURE_TIME: _ratio(details.total_time_s),
         _ISO_SPEED: iso if iso <= _LARGEST_SHORT else 0,
+        _EXIF_VERSION: b"0232",
         _ORIGINAL_DATE: taken.encode(),
         _COLOUR_SPACE: _SRGB if details.colour is not None else _UNCALIBRATED,
     }
@@ -175,13 +180,16 @@ def _directory(tags: Mapping[int, bytes | int | tuple[int, int]], at: int) -> by
     after = at + 2 + 12 * len(tags) + 4
     for tag, value in sorted(tags.items()):
         if isinstance(value, int):
-            kind = (4, ">I") if tag == _EXIF_IFD else (_SHORT, ">Hxx")
-            entries += struct.pack(">HHI", tag, kind[0], 1) + struct.pack(kind[1], value)
+            kind, form = (_LONG, ">I") if tag == _EXIF_IFD else (_SHORT, ">Hxx")
+            entries += struct.pack(">HHI", tag, kind, 1) + struct.pack(form, value)
             continue
-        ratio = isinstance(value, tuple)
-        data = struct.pack(">II", *value) if isinstance(value, tuple) else value + b"\0"
-        count = 1 if ratio else len(data)
-        entries += struct.pack(">HHI", tag, _RATIONAL if ratio else 2, count)
+        if isinstance(value, tuple):
+            kind, count, data = _RATIONAL, 1, struct.pack(">II", *value)
+        elif tag == _EXIF_VERSION:
+            kind, count, data = _UNDEFINED, len(value), value
+        else:
+            kind, count, data = _ASCII, len(value) + 1, value + b"\0"
+        entries += struct.pack(">HHI", tag, kind, count)
         if len(data) <= 4:
             entries += data.ljust(4, b"\0")
         else:

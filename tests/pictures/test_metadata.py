@@ -116,6 +116,7 @@ def test_exiftool_reads_every_file(folder: Path, layout: Layout) -> None:
     exr, image, total, preview, contact, picture = exiftool(*(folder / name for name in names))
     assert (picture["Make"], picture["Model"]) == ("B?nch", "Camera 1")
     assert picture["DateTimeOriginal"] == "2026:05:17 21:04:09"
+    assert picture["ExifVersion"] == "0232"
     assert picture["NumberOfImages"] == 2
     assert picture["MPImageLength"] == picture["DirectoryItemLength"]
     assert exr["CameraMake"] == "Bénch"
