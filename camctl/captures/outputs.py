@@ -26,6 +26,7 @@ from camctl.exposure.light import DARK_SHARE
 from camctl.exposure.objective import Objective
 from camctl.findings import Finding
 from camctl.interface.controls import ExposureControls
+from camctl.interface.layout import FEW_CHROMA_SAMPLES
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Posterior, posterior_of
 from camctl.model.noise import FrameNoise, MeasuredNoise
@@ -259,6 +260,7 @@ def _light(shot: _Shot, checks: FrameChecks, controls: ExposureControls) -> Fram
         unit=shot.full_scale_exposure,
         gains=shot.gains,
         prior=shot.desired,
+        few_chroma_samples=any(each.details.get(FEW_CHROMA_SAMPLES) for each in shot.frames),
     )
 
 

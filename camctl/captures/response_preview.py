@@ -25,6 +25,7 @@ from camctl.exposure.goal import AUTO, CaptureRequest
 from camctl.exposure.search.settings import relative_exposures
 from camctl.interface.camera import Camera, Frame, PreviewingCamera
 from camctl.interface.controls import ExposureControls, ExposureSetting
+from camctl.interface.layout import FEW_CHROMA_SAMPLES
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Posterior, posterior_of
 from camctl.model.response.desired import desired_response
@@ -92,7 +93,8 @@ class PreviewedLight:
     def of(cls, camera: Camera, settings: tuple[ExposureSetting, ...]) -> Self:
         """Take preview frames, and return the light that they give."""
         controls = camera.controls
-        pixels = [frame.pixels for frame in _frames(camera, settings)]
+        frames = list(_frames(camera, settings))
+        pixels = [each.pixels for each in frames]
         total = Accumulator(pixels[0].shape, pixels[0].dtype, len(settings), controls.white)
         for each in pixels:
             total.accumulate(each)
@@ -114,6 +116,7 @@ class PreviewedLight:
             unit=1.0,
             gains=[each.gain for each in settings],
             prior=desired,
+            few_chroma_samples=any(each.details.get(FEW_CHROMA_SAMPLES) for each in frames),
         )
         rendering = Rendering(
             controls.layout,

@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 
 Pixels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
+FEW_CHROMA_SAMPLES = "few_chroma_samples"
+"""Detail of frames whose files state fewer samples of the differences of colours than of
+brightness, as JPEG files of 4:2:0 and 4:2:2 do."""
+
 
 class Layout(StrEnum):
     """Pixel layout of a frame: monochrome, RGB, or the first four letters of a CFA pattern."""

@@ -41,6 +41,12 @@ class FrameNoise:
     compression_levels: float = 0.0
     file: BlockRounding | None = None
 
+    @property
+    def is_none(self) -> bool:
+        """Whether quantisation is all."""
+        others = (self.read_noise_levels, self.dsnu_levels, self.prnu, self.compression_levels)
+        return math.isinf(self.electrons_per_level) and not any(others) and self.file is None
+
 
 @dataclass(frozen=True)
 class NoiseModel:

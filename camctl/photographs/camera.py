@@ -16,6 +16,7 @@ from camctl.findings import Detail, Finding
 from camctl.interface.camera import CameraBase, CameraInfo, Frame, Pixels
 from camctl.interface.clock import RealClock
 from camctl.interface.controls import Choices, ExposureControls, ExposureSetting
+from camctl.interface.layout import FEW_CHROMA_SAMPLES
 
 #: Id and driver of this camera.
 _ID = "photographs"
@@ -45,6 +46,7 @@ class Photograph:
         taken_at: when it was taken; None where that is not stated
         iso: ISO speed as stated; None where it is not
         flash_fired: whether the flash did; None where it is not stated
+        few_chroma_samples: as of `Still`
     """
 
     name: str
@@ -54,6 +56,7 @@ class Photograph:
     taken_at: datetime | None = None
     iso: float | None = None
     flash_fired: bool | None = None
+    few_chroma_samples: bool = False
 
     @property
     def setting(self) -> ExposureSetting:
@@ -253,6 +256,8 @@ class PhotographCamera(CameraBase):
             details["iso"] = photograph.iso
         if photograph.taken_at is not None:
             details["taken_at"] = photograph.taken_at.isoformat()
+        if photograph.few_chroma_samples:
+            details[FEW_CHROMA_SAMPLES] = True
         return Frame(
             load(position),
             setting,

@@ -19,6 +19,7 @@ from camctl.interface.controls import Layout
 from camctl.model.effective import check_ratio
 from camctl.photographs.camera import Photograph
 from camctl.photographs.moves import Move, overlap
+from camctl.stills.decoding import Still
 from camctl.stills.exif import StatedExposure
 from camctl.stills.files import check_times, read_photograph, unknown_time
 from camctl.stills.radiance_map import read_exr_exposure, read_map
@@ -30,14 +31,17 @@ _EXR = ".exr"
 _FULL_EXR = 65535
 
 
-def _exposure(path: Path, stated: StatedExposure, time_s: float | None) -> Photograph:
-    """Return the exposure of a file; a given time replaces the stated one."""
+def _photograph(
+    path: Path, still: Still, stated: StatedExposure, time_s: float | None
+) -> Photograph:
+    """Return what a file states of a photograph; a given time replaces the stated one."""
     time_s = stated.time_s if time_s is None else time_s
     if time_s is None:
         raise unknown_time(path)
     gain, iso = stated.gain or 1.0, None if stated.gain is None else round(100 * stated.gain, 6)
     name = visible(path.name)
-    return Photograph(name, time_s, gain, stated.f_number, stated.taken_at, iso, stated.flash_fired)
+    exposure = time_s, gain, stated.f_number, stated.taken_at, iso, stated.flash_fired
+    return Photograph(name, *exposure, few_chroma_samples=still.few_chroma_samples)
 
 
 @dataclass(frozen=True)
@@ -167,7 +171,7 @@ class PhotographFiles:
             this = Format(linear.shape, _layout_of(linear), 16, 0, _FULL_EXR, True, colour=BT709)
             return linear, this, photograph, ("",) * 3
         still, stated = read_photograph(path)
-        photograph = _exposure(path, stated, time_s)
+        photograph = _photograph(path, still, stated, time_s)
         is_raw = still.layout.is_mosaic or still.black > 0
         turns = self._turns(position, 0 if is_raw else stated.quarter_turns)
         known = [each.details.get("what") for each in self.notes]

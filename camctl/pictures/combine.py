@@ -79,6 +79,7 @@ def combine(
     noise: Noise | None = None,
     layout: Layout | str | None = None,
     method: str = "likelihood",
+    few_chroma_samples: bool = False,
 ) -> Combination:
     """Return the irradiance that frames of one scene at several exposures show.
 
@@ -97,6 +98,8 @@ def combine(
         layout: the Bayer pattern, such as "rggb": needed if a mosaic has three responses
         method: "likelihood": maximum likelihood, or the posterior mean where the quantiser or black
             decides; "sum": the posterior mean after the sum of the frames, as in the paper
+        few_chroma_samples: colours differ from brightness by fewer samples than it has, as in JPEG
+            files of 4:2:0 and 4:2:2; False: the frames show whether they do, if they are sharp
 
     Raises:
         UsageError: an argument does not fit the others
@@ -122,7 +125,15 @@ def combine(
     known = None if noise is None else known_noise(noise, exposures, black)
     parts = parts_of(kind, responses)
     light = frame_light(
-        parts, relative, known, samples, black=black, unit=shortest, method=method, steps=steps
+        parts,
+        relative,
+        known,
+        samples,
+        black=black,
+        unit=shortest,
+        method=method,
+        steps=steps,
+        few_chroma_samples=few_chroma_samples,
     )
     found = _combined(light, pictures, black)
     findings: list[Finding] = []

@@ -290,6 +290,7 @@ def frame_light(
     method: str = "likelihood",
     prior: DesiredResponse | None = None,
     steps: Steps = "measure",
+    few_chroma_samples: bool = False,
 ) -> FrameLight:
     """Return what estimates the light of frames.
 
@@ -305,12 +306,15 @@ def frame_light(
         prior: what a sum is inverted with; None: all light is equally probable
         steps: of the frequencies of brightness in the files of the frames, levels; None: there are
             none; "measure": `samples` show them
+        few_chroma_samples: whether files state that they have fewer samples of the differences of
+            colours than of brightness; where none does, `samples` show whether they have
     """
     gains = gains or [1.0] * len(exposures)
-    is_sum = method == "sum" or (noise is not None and is_noiseless(noise))
+    is_sum = method == "sum" or (noise is not None and all(each.is_none for each in noise))
     plain, least = None, [0.0] * len(parts)
     highest = SensorModel(parts[0].response, black).highest(None)
-    if not is_sum and len(parts) == len(LETTERS) and has_few_chroma_samples(samples, highest):
+    is_of_colours = not is_sum and len(parts) == len(LETTERS)
+    if is_of_colours and (few_chroma_samples or has_few_chroma_samples(samples, highest)):
         least = ROUNDING.tolist()
         plain = np.all([patch_chroma_variance(each) <= NOTABLE for each in samples], axis=0)
     if is_sum or (plain is None and len(parts) > 1) or black + parts[0].response.M != LEVELS - 1:
@@ -366,17 +370,6 @@ def _lost_details(
             NOISE_OF_Y * np.sqrt(variances.take(bins)) / np.maximum(widths.take(bins), 1e-12)
         )
     return lost_details([patch_brightness(each) for each in samples], steps, noise)
-
-
-def is_noiseless(noise: Sequence[FrameNoise]) -> bool:
-    """Return whether quantisation is all."""
-    return all(
-        math.isinf(each.electrons_per_level)
-        and not (each.read_noise_levels or each.dsnu_levels or each.prnu)
-        and not each.compression_levels
-        and each.file is None
-        for each in noise
-    )
 
 
 def _frame_set(

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from camctl.errors import CameraProtocolError, UsageError
 from camctl.interface.colour import BT709_PRIMARIES, D65, CameraColour, rgb_to_xyz
-from camctl.interface.layout import Layout, Pixels
+from camctl.interface.layout import FEW_CHROMA_SAMPLES, Layout, Pixels
 from camctl.stills.colour import stated_colour
 from camctl.stills.exif import PNG, png_chunks
 from camctl.stills.jpeg import CUT_SHORT, JpegStructure
@@ -76,6 +76,8 @@ class Still:
         notes: what the user should know, one line each
         colour: what its R, G and B are; None: not known
         invalid: which pixels its alpha channel leaves out, (rows, columns); None: none
+        few_chroma_samples: whether it states fewer samples of the differences of colours than of
+            brightness, as JPEG files of 4:2:0 and 4:2:2 do
     """
 
     pixels: Pixels
@@ -86,6 +88,12 @@ class Still:
     notes: tuple[str, ...] = ()
     colour: CameraColour | None = None
     invalid: NDArray[np.bool_] | None = None
+    few_chroma_samples: bool = False
+
+    @property
+    def details(self) -> dict[str, bool]:
+        """What `Frame.details` has of it."""
+        return {FEW_CHROMA_SAMPLES: True} if self.few_chroma_samples else {}
 
     @property
     def record(self) -> StillRecord:
@@ -197,6 +205,7 @@ def _read_jpeg(data: bytes, name: str) -> Still:
         known = JpegStructure.of(data[:zeros]).undamaged_rows(data[:zeros], _printed)
         raise _damaged(name, f"its data from row {known} of {rows} on are damaged (zeros)")
     still, text = with_messages(lambda: _decode(data, name))
+    still = replace(still, few_chroma_samples=structure.few_chroma_samples)
     if damage := structure.damage(data, text):
         known = structure.undamaged_rows(data, _printed)
         where = "" if known is None else f" in or above row {known + 1} of {rows}"

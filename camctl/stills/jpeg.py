@@ -47,6 +47,7 @@ class JpegStructure:
         end: offset of the end of the image; None where the file is cut short
         why: what is wrong with the markers; empty: nothing
         is_cmyk: it has four inks
+        few_chroma_samples: it has fewer samples of the differences of colours than of brightness
     """
 
     rows: int = 0
@@ -54,6 +55,7 @@ class JpegStructure:
     end: int | None = None
     why: str = ""
     is_cmyk: bool = False
+    few_chroma_samples: bool = False
     _rows_at: int = 0
     _unit: tuple[int, int] = (_BLOCK, _BLOCK)
     _restart_interval: int = 0
@@ -102,10 +104,9 @@ class JpegStructure:
             self._is_one_scan = marker in _SEQUENTIAL
             factors = [segment[7 + 3 * channel] for channel in range(channels)]
             if channels > 1:  # else a unit is one block (section A.2.2)
-                self._unit = (
-                    _BLOCK * max(each & 15 for each in factors),
-                    _BLOCK * max(each >> 4 for each in factors),
-                )
+                down, across = ([each >> bits & 15 for each in factors] for bits in (0, 4))
+                self._unit = _BLOCK * max(down), _BLOCK * max(across)
+                self.few_chroma_samples = min(down) < down[0] or min(across) < across[0]
         elif marker == _RESTART_INTERVAL:
             (self._restart_interval,) = struct.unpack_from(">H", segment)
         elif marker == _HUFFMAN_TABLES:

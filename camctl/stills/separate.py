@@ -223,6 +223,7 @@ def _still(head: dict[str, Any], shared: int) -> Still:
         tuple(str(each) for each in head["notes"]),
         _colour(head.get("colour")),
         invalid,
+        bool(head.get("few_chroma_samples")),
     )
 
 

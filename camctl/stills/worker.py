@@ -68,6 +68,7 @@ def _answer(shared: int, request: dict[str, Any]) -> dict[str, Any]:
         "white": still.white,
         "notes": still.notes,
         "has_invalid": still.invalid is not None,
+        "few_chroma_samples": still.few_chroma_samples,
         "colour": None if still.colour is None else asdict(still.colour),
     }
 

@@ -110,7 +110,7 @@ def matched_pixels(still: Still, known: KnownFormat, name: str) -> tuple[Pixels,
             still.record,
         )
     if not drift and white >= record.white:
-        return still.pixels, {}
+        return still.pixels, {**still.details}
     top = 2**record.bits - 1
     shifted = np.clip(still.pixels.astype(np.int32) - drift, 0, top)
     shifted[still.pixels >= still.white] = top

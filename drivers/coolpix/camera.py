@@ -228,7 +228,7 @@ def _suffix(shot: Shot) -> str:
 
 
 def _details(shot: Shot) -> dict[str, str | bool]:
-    details: dict[str, str | bool] = {"name_on_card": shot.name}
+    details: dict[str, str | bool] = {"name_on_card": shot.name, **shot.still.details}
     if shot.found_again:
         details["found_again"] = True
     if shot.left_on_card:

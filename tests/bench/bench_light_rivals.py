@@ -202,7 +202,13 @@ def measured(case: Case, curves: Any, seed: int) -> tuple[Floats, Floats, Floats
     light = light_of(case)
     frames = shot(case, light, real, seed)
     began = time.process_time()
-    found = camctl.combine(frames, case.exposures, response=real)
+    found = camctl.combine(
+        frames,
+        case.exposures,
+        response=real,
+        # The headers of files state it: OpenCV writes them as 4:2:0.
+        few_chroma_samples=case.is_colour and case.quality is not None,
+    )
     spent = time.process_time() - began
     least = float(real.levels[0]) / max(case.exposures) / 2
     mine = errors(found.irradiance, light, least)

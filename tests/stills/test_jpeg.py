@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from camctl.errors import CameraProtocolError
 from camctl.stills.decoding import read_still
+from camctl.stills.separate import read_apart
 from camctl.system.library_output import with_messages
 
 ROWS, COLUMNS = 160, 208
@@ -91,6 +92,16 @@ def test_files_as_cameras_write_them_are_read(options: tuple[int, ...], quality:
         still = read_still(variant, "a.jpg")
         assert still.notes == ()
         assert still.pixels.shape == (ROWS, COLUMNS, 3)
+
+
+@pytest.mark.parametrize("kind", ["420", "422", "440", "411", "444"])
+def test_files_state_whether_they_have_few_samples_of_colours(kind: str) -> None:
+    factor = getattr(cv2, f"IMWRITE_JPEG_SAMPLING_FACTOR_{kind}")
+    data = coded(cv2.IMWRITE_JPEG_SAMPLING_FACTOR, factor)
+    for read in (read_still, read_apart):
+        assert read(data, "a.jpg").few_chroma_samples is (kind != "444")
+    grey = cv2.imencode(".jpg", PICTURE[..., 1])[1].tobytes()
+    assert not read_still(grey, "a.jpg").few_chroma_samples
 
 
 def test_zeros_in_place_of_data_are_refused_with_their_row() -> None:

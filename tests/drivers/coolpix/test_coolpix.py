@@ -105,7 +105,8 @@ class TestPictures:
             assert camera.controls.colour is BT709
         assert frame.original is not None
         assert frame.original.suffix == ".jpg"
-        assert frame.details == {"name_on_card": device.camera.pictures[-1].name}
+        name = device.camera.pictures[-1].name
+        assert frame.details == {"name_on_card": name, "few_chroma_samples": True}
         assert "JPEG loses levels" in notes
 
     def test_only_times_that_are_read_back_unchanged_are_offered(
