@@ -3,7 +3,8 @@
 Written from libcamera's documentation and from what picamera2 calls; never compared with a board.
 Settings go with requests, in order, and take effect some frames after their request: those of time
 and gain together, as DelayedControls has them.  Frames come in a thread, one for each request that
-waits, and time passes with them: it stands still while no request waits.
+waits, and time passes with them: it stands still while no request waits, and while the program has
+one that is complete, so that a busy machine loses no frame (a program may keep it: see `KEPT_S`).
 
     install(FakePi(...))     before picamera2 is imported for the first time
 """
@@ -34,6 +35,7 @@ from camctl.sim.sensors.sensor import Sensor, load_sensor
 
 ALIGNMENT = 32  # bytes of a line
 PAUSE_S = 1e-3  # real time of a frame
+KEPT_S = 0.25  # real time after which frames go on without a request that does not come back
 
 
 class Printed:
@@ -194,6 +196,7 @@ class FakePi:
         self.applied = {CONTROLS["ExposureTime"]: 5000, CONTROLS["AnalogueGain"]: 1.0}
         self.coming: deque[dict[ControlId, Any]] = deque()
         self.last = (0.0, 1.0)  # time, s, and gain of the last frame
+        self.exposed: list[tuple[float, float, float]] = []  # end, time and gain of each frame
         self.controls: dict[str, Any] = {}
         self.is_acquired = False
         unpacked = f"SRGGB{self.bits}"
@@ -217,6 +220,10 @@ class FakePi:
     def sleep_until(self, deadline_s: float) -> None:
         self.now_s = max(self.now_s, deadline_s)
 
+    def exposed_until(self, end_s: float) -> tuple[float, float]:
+        """Return time, s, and gain of the frame that ended nearest to a time."""
+        return min(self.exposed, key=lambda frame: abs(frame[0] - end_s))[1:]
+
     def in_force(self) -> tuple[float, float]:
         """Return time, s, and gain as the sensor has them: whole lines, a table of gains."""
         wanted_us = self.applied[CONTROLS["ExposureTime"]]
@@ -234,6 +241,7 @@ class FakeCamera:
         self.board, self._manager = board, manager
         self.thread: threading.Thread | None = None
         self.sequence = 0
+        self.requests = 0  # all, waiting or with the program
         self.configuration: Configuration | None = None
 
     @property
@@ -274,9 +282,11 @@ class FakeCamera:
 
     def configure(self, configuration: Configuration) -> int:
         self.configuration = configuration
+        self.requests = 0
         return 0
 
     def create_request(self, cookie: int) -> Request:
+        self.requests += 1
         return Request(cookie)
 
     def start(self, controls: dict[ControlId, Any]) -> None:
@@ -303,11 +313,13 @@ class FakeCamera:
         self.board.controls |= {control.name: value for control, value in controls.items()}
 
     def _run(self) -> None:
-        board = self.board
+        board, began_s = self.board, time.monotonic()
         while self.is_running:
             time.sleep(PAUSE_S)
-            if board.queued and not board.is_silent:
+            is_kept = len(board.queued) < self.requests and time.monotonic() < began_s + KEPT_S
+            if board.queued and not board.is_silent and not is_kept:
                 self._expose(board.queued.popleft())
+                began_s = time.monotonic()
 
     def _expose(self, request: Request) -> None:
         board = self.board
@@ -319,6 +331,7 @@ class FakeCamera:
         before, (time_s, gain) = board.last, board.in_force()
         board.last = time_s, gain
         board.now_s += max(time_s, board.interval_us / 1e6)
+        board.exposed.append((board.now_s, time_s, gain))
         pixels = board.seen.expose(time_s, gain, board.frame)
         assert self.configuration is not None
         for stream, buffer in request.buffers.items():

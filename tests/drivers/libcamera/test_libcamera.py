@@ -5,7 +5,7 @@ None of this has been on a board: what libcamera does is what its documentation 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from importlib.util import find_spec
 from typing import Any
@@ -26,7 +26,7 @@ from camctl.errors import (
     CameraTimeoutError,
     UsageError,
 )
-from camctl.interface.camera import Camera
+from camctl.interface.camera import Camera, Frame
 from camctl.interface.controls import ExposureSetting, Layout
 from camctl.interface.cycle import CycleMethod
 from camctl.testing.conformance import CameraConformance
@@ -80,6 +80,7 @@ class TestConformance(CameraConformance):
     longest_s = 1.0  # time is virtual, but the sensor's noise takes time
     run_length = 60
     board: FakePi
+    ends_s: list[float]
 
     def open_camera(self) -> Camera:
         self.board = FakePi()
@@ -95,8 +96,14 @@ class TestConformance(CameraConformance):
     def silence(self, camera: Camera) -> None:
         self.board.is_silent = True
 
+    def shoot(self, camera: Camera, settings: Sequence[ExposureSetting]) -> list[Frame]:
+        frames = super().shoot(camera, settings)
+        self.ends_s = [frame.timestamp_s for frame in frames]
+        return frames
+
     def in_force(self, camera: Camera) -> ExposureSetting:
-        return ExposureSetting(*self.board.in_force())
+        """Of the last frame that was shot: the camera runs on, and has its setting at rest."""
+        return ExposureSetting(*self.board.exposed_until(self.ends_s[-1]))
 
     @pytest.fixture(autouse=True)
     def _short_silence(self, monkeypatch: pytest.MonkeyPatch) -> None:
