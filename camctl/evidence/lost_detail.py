@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -63,6 +63,8 @@ _LEAST_KNOWN = 3
 _ROUNDS, _HALVINGS, _REACH = 12, 24, 10.0
 #: Levels of brightness with one noise.
 _NOISE_BINS = 16
+#: Octave of each number of frequencies, up to 63.
+_OCTAVES = np.ceil(np.log2(1 + np.arange(SIDE * SIDE))).astype(np.intp)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,11 +88,24 @@ class LostDetail:
         Args:
             brightness: (blocks, 8, 8)
         """
-        kept = np.abs(frequencies(brightness) / self.steps.astype(np.float32)) > 0.5
-        classes = np.minimum(_classes(kept), len(self.variance) - 1)
+        found = frequencies(brightness)
+        kept = np.abs(found, out=found) > (self.steps / 2).astype(np.float32)
         bins = _noise_bins(brightness)
-        lost = np.where(kept, self.rounded[bins], self.variance[classes, bins])
-        return np.asarray(lost.mean(axis=1))
+        classes = np.minimum(_classes(kept), len(self.variance) - 1)
+        places = classes * len(self.rounded) + bins
+        by_kept = self._more_by_kept.take(places, axis=0)
+        more = np.einsum("bf,bf->b", by_kept, kept, dtype=np.float32)
+        return np.asarray(np.maximum(self._all_lost.take(places) + more, 0), np.float32)
+
+    @cached_property
+    def _all_lost(self) -> NDArray[np.float32]:
+        """What a block loses that keeps nothing, by class and brightness, (classes * bins,)."""
+        return np.asarray(self.variance.mean(axis=2).ravel())
+
+    @cached_property
+    def _more_by_kept(self) -> NDArray[np.float32]:
+        """What it loses more for each frequency that is kept, (classes * bins, 64)."""
+        return np.asarray((self.rounded - self.variance).reshape(-1, SIDE * SIDE) / SIDE**2)
 
     def of_picture(self, brightness: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the same of the blocks of a picture, (rows / 8, columns / 8), both rounded up."""
@@ -205,7 +220,9 @@ def _cosines() -> NDArray[np.float32]:
 
 def _classes(kept: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Return the class of each block: the octave of how many frequencies it keeps."""
-    return np.asarray(np.ceil(np.log2(1 + kept[:, 1:].sum(axis=1))), np.intp)
+    words = kept.view(np.uint64)  # of 8 bytes, each 0 or 1
+    counts = np.add.reduce(words, axis=1).view(np.uint8).reshape(len(kept), 8)
+    return np.asarray(_OCTAVES.take(counts.sum(axis=1, dtype=np.uint8) - kept[:, 0]))
 
 
 def _noise_bins(brightness: NDArray[np.float32]) -> NDArray[np.intp]:

@@ -23,6 +23,42 @@ REACH = np.float32(CLIPPING_SIGMAS)
 _LARGEST_EXPONENT = 50.0
 
 
+class Cells(NamedTuple):
+    """Samples of one colour of frames, in cells of 2 x 2 pixels.
+
+    Attributes:
+        values: (n, 4, C)
+        hidden: whether another colour of the pixel is saturated, likewise
+        errors: standard deviations of the errors that frames have in common, levels, (n, C)
+        of_chroma: variances of those by fewer samples of colours alone, likewise
+        light, deviation: without these errors, (4, C)
+        common: what they add to the deviation where they are small, (C,)
+    """
+
+    values: NDArray[Any]
+    hidden: NDArray[np.bool_]
+    errors: Floats32
+    of_chroma: Floats32
+    light: Floats32
+    deviation: Floats32
+    common: Floats32
+
+
+class CellsLight(NamedTuple):
+    """The light of samples of cells, (4, C) each, as `camctl.pictures.chroma_light` has it.
+
+    Attributes:
+        light, deviation: of them, without what frames have in common
+        common: standard deviation of that
+        scatter: of the frames, and what noise makes of it, (2, 4, C)
+    """
+
+    light: Floats32
+    deviation: Floats32
+    common: Floats32
+    scatter: Floats32
+
+
 class SeenFrame(NamedTuple):
     """Samples of a frame beside the light that is known.
 

@@ -28,6 +28,7 @@ from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import CLIPPING_SIGMAS, SensorModel
 from camctl.model.step_posterior import REACH, FrameSet, StepPosterior
 from camctl.model.step_scores import StepScores
+from camctl.system.picture_operations import looked_up
 
 Floats32 = NDArray[np.float32]
 
@@ -156,6 +157,7 @@ class LightTables:
 
     Attributes:
         sensor: the camera
+        light_bins: bins of light
         bins: returns the bin of each light
         irradiance: (n, white + 1) float32, the light of each value in each frame
         lights: (B,) the middle of each bin of light
@@ -176,8 +178,8 @@ class LightTables:
         self.irradiance: Floats32 = light.astype(np.float32)
         self._brightest = np.float32(sensor.full / exposures.min())
         step = float(np.min(sensor.gap[sensor.gap > 0])) / exposures.max()
-        self._bins = LightBins(2.0 ** np.floor(np.log2(step / 16)), float(self._brightest))
-        self.bins, self.lights = self._bins.of, self._bins.lights
+        self.light_bins = LightBins(2.0 ** np.floor(np.log2(step / 16)), float(self._brightest))
+        self.bins, self.lights = self.light_bins.of, self.light_bins.lights
         found = _Weights.at(frames, sensor, self.lights)
         self.weights: Floats32 = found.weight.astype(np.float32)
         self.deviation: Floats32 = found.deviation.astype(np.float32)
@@ -221,7 +223,7 @@ class LightTables:
         size = min(int(exact[-1]) + 1 + BINS_OF_OCTAVE, self.lights.size)
         if not StepScores.fits(self._frames, self.sensor, self.lights[:size]):
             return None
-        return StepScores(self._frames, self.sensor, self._bins, size)
+        return StepScores(self._frames, self.sensor, self.light_bins, size)
 
     @cached_property
     def steps(self) -> Floats32:
@@ -260,7 +262,7 @@ class LightTables:
         self, values: Sequence[NDArray[Any]], total: NDArray[Any]
     ) -> tuple[Floats32, Floats32]:
         """Return the same as if noise dithered the quantiser and clipped nothing."""
-        samples = [table.take(each) for table, each in zip(self.irradiance, values, strict=True)]
+        samples = [looked_up(*each) for each in zip(self.irradiance, values, strict=True)]
         bins = self._first.take(total)
         for each, lowest in zip(values, self._saturating, strict=True):
             # The sum does not always show that noise saturated a sample.

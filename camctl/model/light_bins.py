@@ -10,7 +10,7 @@ from camctl.model.response.camera import FloatArray
 #: Bits of the fraction of a float32 that a bin of light has: 64 bins an octave, in which a weight
 #: of photon noise changes by 1.1 %, and the variance of a mean by 1e-4 of itself at most.
 _BITS = 6
-_DROPPED = np.finfo(np.float32).nmant - _BITS
+DROPPED = np.finfo(np.float32).nmant - _BITS
 
 BINS_OF_OCTAVE = 1 << _BITS
 
@@ -23,15 +23,15 @@ class LightBins:
     """
 
     def __init__(self, least: float, brightest: float) -> None:
-        self._least, self._brightest = np.float32(least), np.float32(brightest)
-        self._first, last = (
-            int(end.view(np.uint32)) >> _DROPPED for end in (self._least, self._brightest)
+        self.least, self.brightest = np.float32(least), np.float32(brightest)
+        self.first, last = (
+            int(end.view(np.uint32)) >> DROPPED for end in (self.least, self.brightest)
         )
-        bins = np.arange(self._first, last + 1, dtype=np.uint32)
-        edges = (bins << np.uint32(_DROPPED)).view(np.float32).astype(np.float64)
+        bins = np.arange(self.first, last + 1, dtype=np.uint32)
+        edges = (bins << np.uint32(DROPPED)).view(np.float32).astype(np.float64)
         self.lights: FloatArray = edges * (1 + 0.5 / BINS_OF_OCTAVE)
 
     def of(self, E: NDArray[np.float32]) -> NDArray[np.intp]:
         """Return the bin of each light, the first or the last one where it is beyond these."""
-        found = np.clip(E, self._least, self._brightest).view(np.uint32) >> np.uint32(_DROPPED)
-        return found.astype(np.intp) - self._first
+        found = np.clip(E, self.least, self.brightest).view(np.uint32) >> np.uint32(DROPPED)
+        return found.astype(np.intp) - self.first

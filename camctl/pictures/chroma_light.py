@@ -8,8 +8,9 @@ the other frames show it (`camctl.model.joined_frames`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +18,10 @@ from numpy.typing import NDArray
 from camctl.evidence.chroma import brightness, chroma_variance
 from camctl.evidence.lost_detail import LostDetail
 from camctl.evidence.patches import SIDE
-from camctl.model.joined_frames import REACH, JoinedFrames, SeenFrame
+from camctl.model.joined_frames import REACH, Cells, CellsLight, JoinedFrames, SeenFrame
 from camctl.model.light import Floats32, LightTables, cut_at_zero
 from camctl.model.sensor import FILE_OFFSET
+from camctl.system.compiled_functions import has_compiler
 from camctl.system.picture_operations import box_means, looked_up
 
 #: Variance of colours, levels squared, above which it counts: that of rounding is 0.1 to 0.3.
@@ -38,6 +40,14 @@ _BLOCK = 1 << 14
 _BEYOND = np.float32(1e30)
 #: Rounds: in the second one, the noise is that of the light which the first one found.
 _ROUNDS = 2
+#: Samples of a colour of all frames in a strip from which compiled functions are loaded: those of a
+#: picture take as long without them as loading does.
+_WORTH_LOADING = 1 << 18
+
+_Join: TypeAlias = Callable[
+    [LightTables, Cells, NDArray[np.bool_], NDArray[np.bool_], CellsLight], None
+]
+"""Sets the light of chosen cells; that of mixed ones sample by sample."""
 
 
 def share_chroma_errors(
@@ -66,33 +76,30 @@ def share_chroma_errors(
         share_chroma_errors(padded[:-2], tables, details, noises, *padded[-2:])
         irradiance[...], deviation[...] = (each[:rows, :columns] for each in padded[-2:])
         return
-    seen = [[_by_cells(each[..., k]) for k in range(len(tables))] for each in frames]
-    shape = 4, rows // 2, columns // 2
+    shape, count = (rows // 2, columns // 2), len(frames)
+    seen = np.empty((len(tables), count, 4, math.prod(shape)), frames[0].dtype)
+    for place, frame in enumerate(frames):
+        for channel, planes in enumerate(seen):
+            planes[place] = _by_cells(frame[..., channel])
     errors = np.stack(
         [
-            chroma_variance([each.reshape(shape) for each in cells], noise)
-            for cells, noise in zip(seen, noises, strict=True)
-        ]
+            chroma_variance(cells.reshape(-1, 4, *shape), noise)
+            for cells, noise in zip(seen.swapaxes(0, 1), noises, strict=True)
+        ],
+        axis=1,
     )
-    of_chroma = errors.copy().reshape(len(frames), len(tables), -1)
-    for frame, detail, error in zip(frames, details, errors, strict=bool(details)):
+    of_chroma = errors.copy().reshape(len(tables), count, -1)
+    for frame, detail, error in zip(frames, details, errors.swapaxes(0, 1), strict=bool(details)):
         error += _by_block(detail, frame)
-    spreads = np.sqrt(errors, out=errors).reshape(len(frames), len(tables), -1)
+    spreads = np.sqrt(errors, out=errors).reshape(of_chroma.shape)
     lights, deviations = (
         [_by_cells(each[..., k]) for k in range(len(tables))] for each in (irradiance, deviation)
     )
     beside, hidden = _beside_saturated(seen, spreads, tables[0].sensor.highest(None))
-    for channel, table in enumerate(tables):
-        lights[channel], deviations[channel] = _replaced(
-            table,
-            [each[channel] for each in seen],
-            spreads[:, channel],
-            of_chroma[:, channel],
-            hidden,
-            beside,
-            (lights[channel], deviations[channel]),
-            columns // 2,
-        )
+    for k, table in enumerate(tables):
+        small, is_large = _small_errors(table, spreads[k], lights[k])
+        cells = Cells(seen[k], hidden, spreads[k], of_chroma[k], lights[k], deviations[k], small)
+        lights[k], deviations[k] = _replaced(table, cells, beside | is_large, shape[1])
     for whole, planes in ((irradiance, lights), (deviation, deviations)):
         for channel, each in enumerate(planes):
             _cells_of(whole[..., channel])[...] = each.reshape(2, 2, rows // 2, -1)
@@ -106,34 +113,50 @@ def _by_block(detail: LostDetail, frame: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def _replaced(
-    tables: LightTables,
-    values: Sequence[NDArray[Any]],
-    errors: NDArray[np.float32],
-    of_chroma: NDArray[np.float32],
-    hidden: Sequence[NDArray[np.bool_]],
-    beside: NDArray[np.bool_],
-    found: tuple[Floats32, Floats32],
-    columns: int,
+    tables: LightTables, cells: Cells, chosen: NDArray[np.bool_], columns: int
 ) -> tuple[Floats32, Floats32]:
-    """Return the light of one colour and its deviation, (4, cells) each.
+    """Return the light of one colour and its deviation, (4, C) each.
 
     Args:
         tables: of the colour
-        values: of each frame, (4, cells)
-        errors: standard deviations of the errors that frames have in common, levels, (n, cells)
-        of_chroma: variances of those by fewer samples of colours alone
-        hidden: whether another colour of the pixel is saturated, of each frame
-        beside: cells beside what is saturated, (cells,)
-        found: light and deviation without these errors
+        cells: of it
+        chosen: cells whose errors change weights, or that are beside what is saturated, (C,)
         columns: of cells
     """
-    first = found[0]
-    light, deviation = (each.copy() for each in found)
-    small, is_large = _small_errors(tables, errors, first)
-    chosen = beside | is_large
-    scatter = np.zeros((2, *light.shape), np.float32)
-    common = np.tile(small, (len(light), 1))
-    top = tables.sensor.highest(None)
+    is_saturated = (cells.values > tables.sensor.highest(None)).all(axis=1)
+    mixed = np.asarray((cells.hidden.any(axis=1) & ~is_saturated).any(axis=0))
+    light, deviation = cells.light.copy(), cells.deviation.copy()
+    common = np.tile(cells.common, (4, 1))
+    found = CellsLight(light, deviation, common, np.zeros((2, *light.shape), np.float32))
+    (_compiled(cells) or _join_cells)(tables, cells, chosen, mixed, found)
+    shape = chosen.size // columns, columns
+    measured, expected = (
+        box_means(each.reshape(shape), _AROUND).ravel() for each in found.scatter.sum(axis=1)
+    )
+    ratio = np.sqrt((measured + _KNOWN) / (expected + _KNOWN))
+    deviation *= np.where(chosen, ratio, np.float32(1))
+    # Four times as fast as `np.hypot`; none of them is so small that its square vanishes.
+    np.sqrt(np.square(deviation) + np.square(common), out=deviation)
+    return light, deviation
+
+
+def _compiled(cells: Cells) -> _Join | None:
+    """Return what joins cells in compiled code; None where there is none, or that takes longer."""
+    if cells.values.size < _WORTH_LOADING or not has_compiler():
+        return None
+    from camctl.model.compiled_join import join_cells
+
+    return join_cells
+
+
+def _join_cells(
+    tables: LightTables,
+    cells: Cells,
+    chosen: NDArray[np.bool_],
+    mixed: NDArray[np.bool_],
+    found: CellsLight,
+) -> None:
+    """Find the light of chosen cells; that of `mixed` ones sample by sample."""
 
     def join(places: NDArray[np.intp], *, by_cell: bool) -> NDArray[np.intp]:
         """Find the light of cells or samples; return the cells that have no weights for all."""
@@ -142,43 +165,32 @@ def _replaced(
         def here(plane: NDArray[Any]) -> NDArray[Any]:
             return plane.reshape(shape).take(places, axis=-1)
 
-        seen, cells = [here(each) for each in values], places % chosen.size
-        order = _seeing(tables.exposures, seen, top)
+        seen, of_cells = [here(each) for each in cells.values], places % chosen.size
+        order = _seeing(tables.exposures, seen, tables.sensor.highest(None))
         joined, is_even = _joined(
             tables,
             {at: seen[at] for at in order},
-            {at: errors[at].take(cells) for at in order},
-            {at: of_chroma[at].take(cells) for at in order},
+            {at: cells.errors[at].take(of_cells) for at in order},
+            {at: cells.of_chroma[at].take(of_cells) for at in order},
             # Where another colour of a whole cell is saturated, all of the cell is.
-            {} if by_cell else {at: here(hidden[at]) for at in order},
-            (here(first), here(found[1]), small.take(cells)),
+            {} if by_cell else {at: here(cells.hidden[at]) for at in order},
+            (here(cells.light), here(cells.deviation), cells.common.take(of_cells)),
             by_cell=by_cell,
         )
-        rows = len(light) if by_cell else 1
-        for plane, each in zip((light, deviation, common, *scatter), joined, strict=True):
+        rows = 4 if by_cell else 1
+        planes = *found[:3], *found.scatter
+        for plane, each in zip(planes, joined, strict=True):
             # Row by row, in half of the time.
             for row, own in zip(plane.reshape(rows, -1), each.reshape(rows, -1), strict=True):
                 row[places] = own
         return places[~is_even] if by_cell else places[:0]
 
-    mixed = np.zeros_like(chosen)
-    for each, is_hidden in zip(values, hidden, strict=True):
-        mixed |= is_hidden.any(axis=0) & ~(each > top).all(axis=0)
-    whole = _alike(np.flatnonzero(chosen & ~mixed), first.min(axis=0), _BLOCK // 4)
+    whole = _alike(np.flatnonzero(chosen & ~mixed), cells.light.min(axis=0), _BLOCK // 4)
     rest = [join(each, by_cell=True) for each in whole]
-    cells = np.concatenate([*rest, np.flatnonzero(chosen & mixed)])
-    samples = (cells + chosen.size * np.arange(4)[:, np.newaxis]).ravel()
-    for some in _alike(samples, first.ravel(), _BLOCK):
+    uneven = np.concatenate([*rest, np.flatnonzero(chosen & mixed)])
+    samples = (uneven + chosen.size * np.arange(4)[:, np.newaxis]).ravel()
+    for some in _alike(samples, cells.light.ravel(), _BLOCK):
         join(some, by_cell=False)
-    shape = chosen.size // columns, columns
-    measured, expected = (
-        box_means(each.reshape(shape), _AROUND).ravel() for each in scatter.sum(axis=1)
-    )
-    ratio = np.sqrt((measured + _KNOWN) / (expected + _KNOWN))
-    deviation *= np.where(chosen, ratio, np.float32(1))
-    # Four times as fast as `np.hypot`; none of them is so small that its square vanishes.
-    np.sqrt(np.square(deviation) + np.square(common), out=deviation)
-    return light, deviation
 
 
 def _alike(places: NDArray[np.intp], light: Floats32, count: int) -> Iterator[NDArray[np.intp]]:
@@ -194,20 +206,20 @@ def _alike(places: NDArray[np.intp], light: Floats32, count: int) -> Iterator[ND
 
 
 def _beside_saturated(
-    seen: Sequence[Sequence[NDArray[Any]]], spreads: NDArray[np.float32], top: int
-) -> tuple[NDArray[np.bool_], list[NDArray[np.bool_]]]:
+    seen: NDArray[Any], spreads: Floats32, top: int
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return where frames are saturated and have errors of colours.
 
     Returns:
-        the cells in which one is or may be, (cells,); for each frame the samples, (4, cells), of
-        which it has another colour saturated, so that the file may have made them darker
+        the cells in which one is or may be, (C,); for each frame the samples, (n, 4, C), of which
+        it has another colour saturated, so that the file may have made them darker
     """
-    found, hidden = np.zeros(spreads.shape[2], np.bool_), []
-    for planes, spread in zip(seen, spreads, strict=True):
-        largest = spread.max(axis=0)
-        brightest = np.maximum(np.maximum(*planes[:2]), planes[2])
+    found, hidden = np.zeros(spreads.shape[2], np.bool_), np.empty(seen.shape[1:], np.bool_)
+    for place in range(len(hidden)):
+        largest = spreads[:, place].max(axis=0)
+        brightest = seen[:, place].max(axis=0)
         visible = largest > _VISIBLE
-        hidden.append((brightest > top) & visible)
+        np.logical_and(brightest > top, visible, out=hidden[place])
         found |= visible & (brightest.max(axis=0) + REACH * largest > top)
     return found, hidden
 

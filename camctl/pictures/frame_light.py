@@ -212,8 +212,12 @@ class FrameLight:
 
     @cached_property
     def _memories(self) -> list[LightMemory]:
-        """What estimates the light of each part; parts that are alike have one."""
-        memories = {each: LightMemory(each.estimate) for _, each in self.parts}
+        """What estimates the light of each part; parts that are alike have one.
+
+        That of colours with errors in common is a mean, which takes less than to look for it.
+        """
+        keeps = not self.chroma
+        memories = {each: LightMemory(each.estimate, keeps=keeps) for _, each in self.parts}
         return [memories[each] for _, each in self.parts]
 
     def _clipped(self, frames: Sequence[NDArray[Any]]) -> Sequence[NDArray[Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import threading
 from collections.abc import Callable
@@ -10,11 +11,22 @@ from typing import Any, Generic, TypeVar
 _Functions = TypeVar("_Functions")
 
 
-def compiler() -> Callable[[Callable[..., Any]], Callable[..., Any]] | None:
+def has_compiler() -> bool:
+    """Return whether numba is installed."""
+    return importlib.util.find_spec("numba") is not None
+
+
+def compiler(
+    *, are_joined: bool = False
+) -> Callable[[Callable[..., Any]], Callable[..., Any]] | None:
     """Return what compiles a function when it is first called; None without numba.
 
     The functions release the lock of Python.  The machine code is kept beside their module, or in
     the user's cache where that can be written.
+
+    Args:
+        are_joined: all but the last one become part of what calls them.  They make no arrays, and
+            count no references to those that they are given: that takes five times as long
     """
     try:
         import numba
@@ -23,6 +35,8 @@ def compiler() -> Callable[[Callable[..., Any]], Callable[..., Any]] | None:
 
     def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
         options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+        if are_joined:
+            options |= {"_nrt": False, "inline": "always"}
         try:
             made: Callable[..., Any] = numba.njit(cache=True, **options)(function)
         except RuntimeError:  # no folder for the machine code can be written

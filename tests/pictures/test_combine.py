@@ -304,6 +304,31 @@ def test_light_beside_saturated_colours_is_that_of_each_sample_by_itself(
         np.testing.assert_array_equal(*(getattr(each, name) for each in found))
 
 
+@pytest.mark.slow
+def test_light_of_colours_is_that_of_numpy_where_it_is_compiled(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pytest.importorskip("numba")
+    real, exposures, light = camera("srgb"), (4.0, 1.0, 64.0, 16.0, 256.0), windows()
+    light = light[:-1, :-1]
+    light = light * np.exp(np.random.default_rng(3).normal(0, 0.1, (*light.shape[:2], 1)))
+    lossy = []
+    for each in shot(light, exposures, real, FrameNoise(30.0, 0.7)):
+        data = cv2.imencode(".jpg", each[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])[1]
+        lossy.append(np.asarray(cv2.imdecode(data, 1), np.uint8)[..., ::-1])
+    found = []
+    for least in (1 << 60, 1):
+        monkeypatch.setattr("camctl.pictures.chroma_light._WORTH_LOADING", least)
+        found.append(camctl.combine(lossy, exposures, response=real))
+    numpy, compiled = found
+    known = np.isfinite(numpy.sd)
+    assert np.array_equal(known, np.isfinite(compiled.sd))
+    off = np.abs(numpy.irradiance - compiled.irradiance)[known] / numpy.sd[known]
+    assert off.max() < 1e-3
+    np.testing.assert_allclose(compiled.sd[known], numpy.sd[known], rtol=1e-4)
+    assert np.mean(compiled.irradiance == numpy.irradiance) > 0.9
+
+
 def test_light_beside_saturated_colours_is_as_exact_as_with_all_frames() -> None:
     """Frames with another colour saturated were left out: of two, the darker one was all."""
     real, exposures, light = camera("srgb"), (1.0, 4.0), windows()
