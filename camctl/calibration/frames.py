@@ -18,7 +18,12 @@ from camctl.errors import DataError, UsageError
 from camctl.findings import Finding
 from camctl.interface.camera import CameraInfo
 from camctl.interface.controls import ExposureSetting, Layout
-from camctl.model.response.camera import CameraResponse, linear_response, named_response
+from camctl.model.response.camera import (
+    CameraResponse,
+    linear_response,
+    named_response,
+    phase_of_black,
+)
 from camctl.pictures.combine_arguments import checked_frames
 from camctl.profiles.exposures import mode_name
 from camctl.profiles.profile import load_profile
@@ -146,7 +151,7 @@ def response_named(
             )
         return given
     return named_response(given, bits, levels) or linear_response(
-        bits, phase=0.5 if black else 0.0, levels=levels
+        bits, phase=phase_of_black(black), levels=levels
     )
 
 

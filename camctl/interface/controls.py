@@ -23,7 +23,7 @@ from camctl.interface.control_values import Steps as Steps
 from camctl.interface.layout import Layout as Layout
 from camctl.messages.plain import sentence
 from camctl.model.noise import FrameNoise, NoiseModel
-from camctl.model.response.camera import CameraResponse, linear_response
+from camctl.model.response.camera import CameraResponse, linear_response, phase_of_black
 
 
 class ResponseOrigin(StrEnum):
@@ -94,7 +94,7 @@ class ExposureControls:
         black: black level: brightness without light, DN
         white: white level: brightness from which a sample counts as saturated, DN
         phase: phase of the quantiser in levels: 0 truncates, 1/2 rounds; a black level that is not
-            a whole number gives values between
+            a whole number gives values between; None: see `quantiser_phase`
         response: as levels between black and white; None: linear; where the colours have responses
             of their own, the response of green
         response_origin: whether the response is stated, measured or only assumed; every driver must
@@ -132,7 +132,7 @@ class ExposureControls:
     f_number: Control | None = None
     black: int = 0
     white: int = 0
-    phase: float = 0.0
+    phase: float | None = None
     response: CameraResponse | None = None
     delay_frames: int | None = None
     frame_interval_s: float = 0.0
@@ -163,7 +163,13 @@ class ExposureControls:
         """The camera's response as levels, by which exposures are looked up."""
         if self.response is not None:
             return self.response
-        return linear_response(self.bits, phase=self.phase, levels=self.white - self.black)
+        levels = self.white - self.black
+        return linear_response(self.bits, phase=self.quantiser_phase, levels=levels)
+
+    @property
+    def quantiser_phase(self) -> float:
+        """The phase of the quantiser in levels, as `phase_of_black` where none is stated."""
+        return phase_of_black(self.black) if self.phase is None else self.phase
 
     @property
     def plane_levels(self) -> tuple[CameraResponse, ...]:

@@ -18,6 +18,7 @@ from camctl.evidence.contradictions import contradictions
 from camctl.evidence.patches import Patches
 from camctl.findings import Detail, Finding
 from camctl.interface.controls import ExposureControls
+from camctl.model.response.camera import phase_of_black
 from camctl.model.sensor import SensorModel
 from camctl.photographs.alignment import Sight
 from camctl.photographs.camera import (
@@ -350,7 +351,7 @@ def _selection(
         files.format.bits,
         black,
         white,
-        phase=0.5 if black else 0.0,
+        phase=phase_of_black(black),
         levels_are_stated=source.black is not None
         or source.white is not None
         or files.format.is_raw,

@@ -151,7 +151,7 @@ def known_colour(files: PhotographFiles, white: int) -> CameraColour | None:
 def _standards(controls: ExposureControls) -> dict[tuple[str, float], ExposureControls]:
     """Return controls with each standard response, by its name and the phase of the quantiser."""
     levels = controls.white - controls.black
-    phases = (controls.phase,) if controls.black else _PHASES
+    phases = (controls.quantiser_phase,) if controls.black else _PHASES
     return {
         (name, phase): replace(
             controls,

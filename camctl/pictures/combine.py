@@ -90,7 +90,8 @@ def combine(
         exposures: of each frame, in any unit, such as s; irradiance is per unit of it
         response: of the camera: M = white - black levels; or "linear", "srgb", "rec709" or "power"
             (see `standard_response`); or three of R, G and B
-        black: brightness without light, DN
+        black: brightness without light, DN: the mean of dark frames.  A response by its name has
+            steps that are right in the mean then (`phase_of_black`); without black they truncate
         white: brightness from which samples are saturated, DN; None: black + the levels of
             `response`, or the largest value of 8-bit frames
         noise: of all frames, or one for each; a `NoiseModel` is taken at gain 1, with exposures in

@@ -15,7 +15,12 @@ from camctl.errors import DataError, UsageError, unknown_name
 from camctl.interface.controls import Layout
 from camctl.model.effective import check_ratio
 from camctl.model.noise import FrameNoise, NoiseModel
-from camctl.model.response.camera import CameraResponse, linear_response, standard_response
+from camctl.model.response.camera import (
+    CameraResponse,
+    linear_response,
+    phase_of_black,
+    standard_response,
+)
 
 Noise: TypeAlias = NoiseModel | FrameNoise | Sequence[FrameNoise]
 Response: TypeAlias = CameraResponse | str | Sequence[CameraResponse]
@@ -88,11 +93,11 @@ def white_level(dtype: np.dtype[Any], response: Response, black: int, white: int
 
 def channel_responses(response: Response, black: int, white: int) -> tuple[CameraResponse, ...]:
     """Return the response, or those of R, G and B, as levels."""
-    levels = white - black
+    levels, phase = white - black, phase_of_black(black)
     if response == "linear":
-        return (linear_response(16, levels=levels),)
+        return (linear_response(16, phase=phase, levels=levels),)
     if isinstance(response, str):
-        return (standard_response(response, 16, levels=levels),)
+        return (standard_response(response, 16, phase=phase, levels=levels),)
     found = (response,) if isinstance(response, CameraResponse) else tuple(response)
     for each in found:
         if levels != each.M:

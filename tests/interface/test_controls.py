@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -111,3 +113,13 @@ def test_inconsistent_bit_depth_black_and_white_are_refused(
             white=white,
             response_origin=ResponseOrigin.STATED,
         )
+
+
+def test_a_camera_that_states_a_black_level_is_right_in_the_mean() -> None:
+    times = Choices((0.01, 0.02))
+    raw = ExposureControls(
+        times, (4, 4), Layout.MONO, 12, black=60, white=4095, response_origin=ResponseOrigin.STATED
+    )
+    assert raw.levels.levels[0] == pytest.approx(0.5 / 4036)
+    assert replace(raw, black=0).levels.levels[0] == pytest.approx(1 / 4096)
+    assert replace(raw, phase=0.0).levels.levels[0] == pytest.approx(1 / 4036)

@@ -69,3 +69,17 @@ def test_differences_of_pixels_stay_in_the_deviation_beside_full_scale() -> None
     found = camctl.combine(frames, (1, 4), black=256, white=4095, noise=noise)
     z = (found.irradiance - light) / found.sd
     assert 0.95 < z.std() < 1.05
+
+
+def test_a_black_level_is_the_mean_of_dark_frames() -> None:
+    """A converter that rounds to a black level of 64: the light of dark parts is right."""
+    rng = np.random.default_rng(0)
+    exposures = (1, 4, 16)
+    light = np.tile(np.geomspace(0.002, 0.02, 64), (400, 1))
+    means = [light * exposure * 960 for exposure in exposures]
+    levels = [rng.poisson(6 * mean) / 6 + rng.normal(64, 0.9, light.shape) for mean in means]
+    frames = [np.clip(np.rint(each), 0, 1023).astype(np.uint16) for each in levels]
+    found = camctl.combine(frames, exposures, black=64, white=1023, noise=FrameNoise(6.0, 0.9))
+    error = float(np.mean(found.irradiance - light))
+    deviation = float(np.sqrt(np.mean(np.square(found.sd)) / light.size))
+    assert abs(error) < 4 * deviation  # 37 of them with steps that truncate

@@ -21,7 +21,7 @@ from camctl.evidence.patches import Patches, sample_patches
 from camctl.evidence.unknown_response import moved_samples
 from camctl.findings import Finding
 from camctl.interface.controls import Layout
-from camctl.model.response.camera import FloatArray, linear_response
+from camctl.model.response.camera import FloatArray, linear_response, phase_of_black
 from camctl.model.sensor import CLIPPING_SIGMAS, SensorModel
 from camctl.system.picture_operations import level_counts, plane_by_plane
 
@@ -277,7 +277,8 @@ class Series:
         if self.black == 0 and len(order) > 1:
             black = self._dark_level(order.tolist())
             if _LEAST_BLACK <= black / self.white <= _MOST_BLACK:
-                self.black, self.phase = round(black), 0.5
+                self.black = round(black)
+                self.phase = phase_of_black(self.black)
                 self._found("black", self.black)
         found = self._clipped_level()
         if found is not None and self.black < found < self.white:

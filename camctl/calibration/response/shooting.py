@@ -54,7 +54,7 @@ def measure_response(
         controls.bits,
         controls.black,
         controls.white,
-        phase=controls.phase,
+        phase=controls.quantiser_phase,
         levels_are_stated=True,
         is_shot=True,
         measured_exposures="none" if controls.true_exposures is None else "used",

@@ -125,6 +125,15 @@ def check_quantiser(bits: int, phase: float, levels: int | None) -> int:
     return count
 
 
+def phase_of_black(black: int) -> float:
+    """Return the phase of a quantiser of which the black level alone is known.
+
+    A black level above 0 is the mean of dark frames: a sample less black is then right in the mean,
+    as if the quantiser rounded.  One without is taken to truncate.
+    """
+    return 0.5 if black else 0.0
+
+
 def quantiser_name(kind: str, bits: int, phase: float, count: int) -> str:
     """Return the name of a quantised response, such as "linear 8 bit, 239 levels, phase 0.5"."""
     size = f"{bits} bit" if count == 2**bits - 1 else f"{bits} bit, {count} levels"
