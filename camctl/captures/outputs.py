@@ -193,8 +193,16 @@ def _effective_camera(
             for each in controls.responses or (controls.levels,)
         ],
         full_scale_exposure,
-        "full scales per second" if controls.sensitivity is None else "as the scene",
+        _unit(frames) if controls.sensitivity is None else "as the scene",
     )
+
+
+def _unit(frames: Sequence[StoredFrame]) -> str:
+    """Return the unit of the light of a camera of unknown sensitivity."""
+    settings = [frame.applied for frame in frames]
+    others = ["gain 1"] if any(each.gain != 1 for each in settings) else []
+    others += ["f/1"] if any(each.f_number for each in settings) else []
+    return " at ".join(filter(None, ["full scales per second", " and ".join(others)]))
 
 
 def _achieved(
