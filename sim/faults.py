@@ -56,6 +56,17 @@ class Faults:
     clock_jumps: Mapping[int, float] = field(default_factory=dict)
     longest_exposure_s: float | None = None
 
+    def __post_init__(self) -> None:
+        if not all(factor > 0 for factor in self.wrong_exposure.values()):
+            raise ValueError(
+                "invalid factor of a wrong exposure: expected a number above 0, such as 1e-6 of a "
+                "shutter that does not open"
+            )
+        if self.shutter_offset_s < 0:
+            raise ValueError("invalid time by which exposures are longer: expected seconds >= 0")
+        if self.longest_exposure_s is not None and not self.longest_exposure_s > 0:
+            raise ValueError("invalid longest exposure: expected seconds > 0")
+
     def clock_offset_s(self, number: int) -> float:
         """Return by how much the camera's clock is wrong at a frame, s."""
         return sum(jump for first, jump in self.clock_jumps.items() if first <= number)

@@ -235,7 +235,7 @@ class FrameChecks:
             return []
         colours = (3,) if controls.layout is Layout.RGB else ()
         planes = controls.layout.planes(np.empty((*controls.shape, *colours), np.uint8))
-        rows, columns, _ = patch_places(planes[0].shape, len(planes))
+        rows, columns, _ = patch_places([each.shape for each in planes])
         grid = rows.size, columns.size
         exposures = [controls.exposure(frame.applied) for frame in self._frames]
         limits = [light_limits(each, self._check.scale) for each in samples]

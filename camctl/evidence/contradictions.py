@@ -43,7 +43,7 @@ def contradictions(
         planes: shape of each plane of a photograph; places are in their pixels
     """
     odd = _odd_ones(exposures, patches, sensor, len(planes))
-    rows, columns, side = patch_places(planes[0], len(planes))
+    rows, columns, side = patch_places(planes)
     found = []
     for k, marks in enumerate(odd):
         grid = marks.reshape(len(planes), rows.size, columns.size).any(axis=0)

@@ -33,9 +33,9 @@ def sample_patches(planes: Sequence[NDArray[Any]], white: int) -> Patches:
     Frames of one size have the same patches, colour by colour and row by row.
     """
     patches = []
+    rows, columns, side = patch_places([plane.shape for plane in planes])
+    within = np.arange(side)
     for plane in planes:
-        rows, columns, side = patch_places(plane.shape, len(planes))
-        within = np.arange(side)
         found = plane[
             (rows[:, None] + within)[:, None, :, None], (columns[:, None] + within)[None, :, None]
         ]
@@ -44,11 +44,15 @@ def sample_patches(planes: Sequence[NDArray[Any]], white: int) -> Patches:
 
 
 def patch_places(
-    shape: Sequence[int], planes: int
+    shapes: Sequence[Sequence[int]],
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], int]:
-    """Return first rows, first columns and side of the patches of one of so many planes."""
+    """Return first rows, first columns and side of the patches of planes of these shapes.
+
+    They are the same in all planes; those of a mosaic of odd size differ by a row or a column.
+    """
+    shape = [min(lengths) for lengths in zip(*shapes, strict=True)]
     side = min(SIDE, max(1, min(shape) // 4))
-    most = math.isqrt(_PATCHES // planes)
+    most = math.isqrt(_PATCHES // len(shapes))
     # Blocks of JPEG files begin at multiples of their side.
     rows, columns = (
         np.linspace(0, length - side, min(length // side, most)).astype(np.intp) // side * side

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import Any, TypeAlias
 
@@ -29,6 +30,19 @@ class Layout(StrEnum):
     def is_mosaic(self) -> bool:
         """Whether each pixel has one colour of a 2 x 2 Bayer pattern, named row by row."""
         return self not in (Layout.MONO, Layout.RGB)
+
+    def turned(self, shape: Sequence[int], turns: int) -> Layout:
+        """Return the layout of a frame after quarter turns anticlockwise.
+
+        Args:
+            shape: of the frame before
+            turns: number of them, in the way of `numpy.rot90`
+        """
+        if not self.is_mosaic:
+            return self
+        rows, columns = (np.arange(2 + length % 2) % 2 for length in shape[:2])
+        cells = np.array(list(self)).reshape(2, 2)[rows[:, np.newaxis], columns]
+        return Layout("".join(np.rot90(cells, turns)[:2, :2].ravel()))
 
     def planes(self, pixels: NDArray[Any]) -> list[NDArray[Any]]:
         """Return views of a frame, one for each colour (the two greens of a mosaic apart)."""

@@ -19,6 +19,7 @@ from camctl.interface.controls import Layout
 from camctl.model.effective import check_ratio
 from camctl.photographs.camera import Photograph
 from camctl.photographs.moves import Move, overlap
+from camctl.profiles.exposures import mode_name
 from camctl.stills.decoding import Still
 from camctl.stills.exif import StatedExposure
 from camctl.stills.files import check_times, read_photograph, unknown_time
@@ -57,11 +58,11 @@ class Format:
     quarter_turns: int = 0
     colour: CameraColour | None = None
 
-    @property
-    def shape_on_sensor(self) -> tuple[int, ...]:
-        """The shape before the photographs were turned upright."""
+    def mode(self, white: int) -> str:
+        """Return the name of the camera's mode, of photographs that are not turned upright."""
         rows, columns, *rest = self.shape
-        return (columns, rows, *rest) if self.quarter_turns % 2 else self.shape
+        shape = (columns, rows, *rest) if self.quarter_turns % 2 else self.shape
+        return mode_name(self.layout.turned(self.shape, -self.quarter_turns), shape, white)
 
 
 class PhotographFiles:
@@ -173,7 +174,7 @@ class PhotographFiles:
         still, stated = read_photograph(path)
         photograph = _photograph(path, still, stated, time_s)
         is_raw = still.layout.is_mosaic or still.black > 0
-        turns = self._turns(position, 0 if is_raw else stated.quarter_turns)
+        turns = self._turns(position, stated.quarter_turns)
         known = [each.details.get("what") for each in self.notes]
         for what in () if is_raw else still.notes:
             if what not in known:
@@ -184,7 +185,8 @@ class PhotographFiles:
         if turns:
             turned: Any = np.rot90(pixels, turns)
             pixels = np.ascontiguousarray(turned)
-        levels = (still.layout, still.bits, still.black, still.white)
+        layout = still.layout.turned(still.pixels.shape, turns)
+        levels = (layout, still.bits, still.black, still.white)
         this = Format(pixels.shape, *levels, is_raw, turns, still.colour)
         return pixels, this, photograph, (stated.make, stated.model, stated.serial)
 

@@ -18,7 +18,6 @@ from camctl.model.response.camera import FloatArray, named_response, standard_re
 from camctl.model.response.measured import read_curve
 from camctl.model.sensor import SensorModel
 from camctl.profiles.calibrated import response_changes
-from camctl.profiles.exposures import mode_name
 from camctl.profiles.folder import list_profiles
 from camctl.system.input_files import exists
 
@@ -76,7 +75,7 @@ def known_controls(
         return replace(controls, response=_named_curve(curve, series)), curve
     if files.format.is_raw:
         return controls, "linear, as raw files are"
-    mode = mode_name(files.format.layout, files.format.shape_on_sensor, series.white)
+    mode = files.format.mode(series.white)
     fitting = _fitting_profiles(files, mode, (series.black, series.white))
     if len(fitting) == 1:
         found = fitting[0]
@@ -141,7 +140,7 @@ def known_colour(files: PhotographFiles, white: int) -> CameraColour | None:
     The white balance is as the files state it.
     """
     stated = files.format.colour
-    mode = mode_name(files.format.layout, files.format.shape_on_sensor, white)
+    mode = files.format.mode(white)
     found = [each.colours[mode] for each in profiles_of(files.taken_by) if mode in each.colours]
     if len(found) != 1:
         return stated

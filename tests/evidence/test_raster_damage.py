@@ -45,7 +45,7 @@ def found(scene: str, sensor: str, second: Pixels | None = None, ratio: float = 
         check.sample(frames[1] if second is None else second, noise[1]),
     )
     planes = controls.layout.planes(frames[0])
-    rows, columns, _ = patch_places(planes[0].shape, len(planes))
+    rows, columns, _ = patch_places([each.shape for each in planes])
     one, other = (light_limits(each, check.scale) for each in pair)
     return wrong_lines((one, other), ratio, (rows.size, columns.size))
 

@@ -38,13 +38,18 @@ def mosaic(light: NDArray[Any], time_s: float, seed: int = 0) -> NDArray[np.uint
 
 
 def raw_file(
-    samples: NDArray[np.uint16], time_s: float, model: str = "Canon EOS 5D Mark II"
+    samples: NDArray[np.uint16],
+    time_s: float,
+    model: str = "Canon EOS 5D Mark II",
+    *,
+    orientation: int = 1,
 ) -> bytes:
     """Return a DNG file (version 1.4) with the matrix, the white balance and the exposure."""
     time = Fraction(time_s).limit_denominator(1 << 20)
     tags: list[Any] = [
         (271, 2, 0, model.split()[0], True),
         (272, 2, 0, model, True),
+        (274, 3, 1, orientation, True),
         (33434, 5, 1, (time.numerator, time.denominator), True),
         (33437, 5, 1, (8, 1), True),
         (34855, 3, 1, 100, True),

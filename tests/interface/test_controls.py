@@ -1,10 +1,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from camctl.errors import RefusedSettingError, UsageError
 from camctl.interface.controls import (
@@ -113,6 +116,25 @@ def test_inconsistent_bit_depth_black_and_white_are_refused(
             white=white,
             response_origin=ResponseOrigin.STATED,
         )
+
+
+@given(st.sampled_from(Layout), st.integers(2, 7), st.integers(2, 7), st.integers(-4, 4))
+def test_a_turned_mosaic_has_the_samples_of_each_colour(
+    layout: Layout, rows: int, columns: int, turns: int
+) -> None:
+    channels = (3,) if layout is Layout.RGB else ()
+    frame = np.arange(rows * columns * 3).reshape(rows, columns, 3)[..., : max(1, sum(channels))]
+    frame = frame.reshape(rows, columns, *channels)
+    turned = np.rot90(frame, turns)
+
+    def samples(layout: Layout, frame: NDArray[Any]) -> dict[str, set[int]]:
+        found: dict[str, set[int]] = {}
+        letters = str(layout) if layout.is_mosaic else "rgb"
+        for letter, plane in zip(letters, layout.planes(frame), strict=False):
+            found.setdefault(letter, set()).update(plane.ravel().tolist())
+        return found
+
+    assert samples(layout.turned(frame.shape, turns), turned) == samples(layout, frame)
 
 
 def test_a_camera_that_states_a_black_level_is_right_in_the_mean() -> None:

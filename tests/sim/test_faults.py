@@ -125,6 +125,12 @@ def test_an_invalid_fault_is_named_with_those_that_are_known(text: str) -> None:
     assert all(form in str(caught.value) for form in FAULT_FORMS)
 
 
+@pytest.mark.parametrize("text", ["wrong@1=0", "wrong@1=-1", "clamp=0", "longer=-0.1"])
+def test_exposures_of_faults_are_above_0(text: str) -> None:
+    with pytest.raises(UsageError, match=r"expected (a number above 0|seconds)"):
+        SimulatedOptions.parse({"faults": text})
+
+
 @pytest.mark.parametrize("faults", [Faults(repeated_frames=[1]), Faults(longest_exposure_s=0.01)])
 def test_a_capture_with_wrong_pixels_is_not_called_trustworthy(faults: Faults) -> None:
     scene, sensor = load_scene("tile-floor", (96, 128)), load_sensor("machine-vision")
