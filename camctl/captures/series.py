@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from camctl.captures.gallery import make_thumbnail, write_gallery
 from camctl.captures.series_tools import SeriesProgress, SeriesTools, SetTaker
@@ -25,6 +25,7 @@ from camctl.errors import (
 )
 from camctl.records import SERIES
 from camctl.records.folder import CaptureFolder
+from camctl.records.folder_store import resumption
 from camctl.records.journal import SeriesJournal, SetRecord
 from camctl.records.report import CaptureReport
 from camctl.records.report_file import LOCK
@@ -342,8 +343,8 @@ class Series:
         return f"{self.journal.completed}{of} sets are complete"
 
     @property
-    def _remedies(self) -> dict[str, Path]:
-        return {"resume": self.directory}
+    def _remedies(self) -> dict[str, Any]:
+        return {"resume": resumption(self.directory, self.journal.source)}
 
 
 def _folder_bytes(directory: Path) -> int:

@@ -139,7 +139,9 @@ def _remedy(name: str, value: Any) -> str:
         command = COMMANDS[name]
         if value is None:
             return command.partition(" --camera {}")[0]
-        return command.format(word(str(value)))
+        place, *camera = value if isinstance(value, tuple) else (value,)
+        of = f" --camera {word(camera[0])}" if camera else ""
+        return command.format(word(str(place))) + of
     option = OPTIONS[name]
     if value is False:
         return f"without {option.removesuffix('=')}"

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from camctl.errors import DataError, StorageError
 from camctl.findings import note
+from camctl.interface.backends import is_local
 from camctl.interface.camera import Frame, Pixels
 from camctl.pictures.details import PictureDetails
 from camctl.pictures.files import (
@@ -67,6 +68,14 @@ _READERS: Final[dict[str, tuple[str, Callable[[Path], NDArray[Any]]]]] = {
 }
 #: How often one exposure can be rejected; far more than happens.
 _MOST_REJECTED = 99
+
+
+def resumption(directory: Path, source: Mapping[str, Any]) -> Path | tuple[Path, str]:
+    """Return what the remedy "resume" has: also the camera where a report may not lead to it."""
+    camera, values = source.get("camera"), source.get("options")
+    if isinstance(camera, str) and isinstance(values, dict) and not is_local(camera, values):
+        return directory, camera
+    return directory
 
 
 class FolderStore:
@@ -250,7 +259,9 @@ class FolderStore:
                 "the photographs are as they were", "merge them again", {"overwrite": True}
             )
         hint = "shoot the others" if done < count else "make the picture of them"
-        return AfterFailure(f"{done} of {count} frames are kept", hint, {"resume": self.directory})
+        source = {} if self.report is None else self.report.source
+        remedies = {"resume": resumption(self.directory, source)}
+        return AfterFailure(f"{done} of {count} frames are kept", hint, remedies)
 
     def frame(self, position: int) -> Pixels:
         """Read the samples of a frame, and compare its checksum with the one in the report.

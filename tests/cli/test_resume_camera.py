@@ -13,6 +13,8 @@ import pytest
 from command_line import Ran, Run
 
 from camctl.interface.backends import is_local
+from camctl.messages.command_line import with_remedies
+from camctl.records.folder_store import resumption
 
 LIGHT = {"span": 2.0, "is_open": False, "clips": 0.5, "dark": 0.1, "needed": 1.0}
 SMALL = ("-O", "size=64x48", "--ratios", "1,4", "--base", "0.01")
@@ -66,6 +68,17 @@ def test_the_user_can_name_the_camera(run: Run, begun: Path) -> None:
     edit(begun, source={"camera": "coolpix:socket://127.0.0.1:9", "options": {}})
     ran = resume(run, "--camera", "sim", *SMALL[:2], "--json")
     assert ran.json["status"] == "complete"
+
+
+@pytest.mark.parametrize(
+    ("camera_id", "named"),
+    [("ptpip:10.0.0.2", " --camera ptpip:10.0.0.2"), ("sim", ""), ("v4l2:/dev/video0", "")],
+)
+def test_the_command_after_a_failure_names_a_camera_of_another_machine(
+    camera_id: str, named: str
+) -> None:
+    remedies = {"resume": resumption(Path("red hall"), {"camera": camera_id, "options": {}})}
+    assert with_remedies("", remedies) == f"(camctl resume 'red hall'{named})"
 
 
 def test_other_options_are_refused_beside_the_camera(run: Run, begun: Path) -> None:
