@@ -228,7 +228,9 @@ def delay_of_frames(
             f"{len(starts)} changes of the exposure show no delay",
             hint="give the frames of at least 2 changes, with several frames after each",
         )
-    light = [float(np.mean(each)) / np.iinfo(each.dtype).max for each in frames]
+    # Samples of 10 or 12 bits in 16 have another full scale: the brightest one is near to it.
+    full = max(1, *(int(np.max(each)) for each in frames))
+    light = [float(np.mean(each)) / full for each in frames]
     responses = []
     for start, end in zip(starts, [*starts[1:], len(frames)], strict=True):
         # The last frames before a change may have the new exposure already.
@@ -348,7 +350,7 @@ class _Stepper:
         for dark, bright in self._pairs:
             step = float(np.mean(light[bright]) - np.mean(light[dark]))
             if step < _LEAST_STEP:
-                raise _invisible_step(float(np.mean(light[bright])), dark, bright)
+                raise _invisible_step(float(np.mean(light[bright])), step, dark, bright)
             variation = max(np.ptp(light[dark]), np.ptp(light[bright]))
             if variation > _TOLERANCE * step:
                 raise CaptureError(
@@ -364,14 +366,18 @@ def _brightness(frame: Frame) -> float:
     return float(metered(frame).mean())
 
 
-def _invisible_step(light: float, dark: ExposureSetting, bright: ExposureSetting) -> CaptureError:
-    """Return the error for two settings with equal brightness, `light`."""
+def _invisible_step(
+    light: float, step: float, dark: ExposureSetting, bright: ExposureSetting
+) -> CaptureError:
+    """Return the error for two settings, the brighter one with brightness `light`."""
     if light > _BRIGHT:
         return too_bright(dark.time_s)
     return CaptureError(
-        f"the scene is too dark: it is black even at {time_text(bright.time_s)} with gain "
-        f"{bright.gain:.4g}",
-        hint="take the lens cap off, or point the camera at something brighter",
+        f"the scene is too dark: its brightness changes by {step:.1%} of full scale, up to "
+        f"{light:.1%} at {time_text(bright.time_s)} with gain {bright.gain:.4g}, and "
+        f"{_LEAST_STEP:.0%} are needed",
+        hint="take the lens cap off, point the camera at something brighter, or state the "
+        "brightness without light if it is not 0",
     )
 
 

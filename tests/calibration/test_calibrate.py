@@ -157,11 +157,12 @@ def test_delay_of_a_camera(sensor: str, frames: int) -> None:
     assert found.timing is not None
 
 
-@pytest.mark.parametrize("late", [0, 2, 3])
-def test_delay_of_arrays(late: int) -> None:
+@pytest.mark.parametrize(("late", "dtype"), [(0, np.uint8), (2, np.uint8), (3, np.uint16)])
+def test_delay_of_arrays(late: int, dtype: type[np.unsignedinteger]) -> None:
+    """Also of few levels in 16 bits, such as those of a camera of 10 bits."""
     exposures = [1.0] * 6 + [4.0] * 8 + [1.0] * 8 + [4.0] * 8
     effective = [exposures[max(0, k - late)] for k in range(len(exposures))]
-    frames = [np.full((8, 8), round(40 * each), np.uint8) for each in effective]
+    frames = [np.full((8, 8), round(40 * each), dtype) for each in effective]
     found = camctl.calibrate.delay(frames, exposures)
     assert not isinstance(found, StillTiming)
     assert (found.frames, found.smallest, found.largest, found.trials) == (late, late, late, 3)

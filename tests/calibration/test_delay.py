@@ -232,7 +232,11 @@ def test_flickering_light_is_an_error() -> None:
 @pytest.mark.parametrize(
     ("light", "message"),
     [
-        (1e-6, "the scene is too dark: it is black even at .*; take the lens cap off"),
+        (
+            1e-6,
+            "the scene is too dark: its brightness changes by 0.0% of full scale, up to .* at .*; "
+            "take the lens cap off",
+        ),
         (1e9, "the scene is too bright: it is white even at .*; close the aperture"),
     ],
 )
