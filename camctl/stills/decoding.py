@@ -176,6 +176,13 @@ def _damaged(name: str, why: str) -> CameraProtocolError:
     )
 
 
+def _not_read(name: str, kind: str) -> UsageError:
+    return UsageError(
+        f"{name} is {kind}, which is not read",
+        hint="convert it to TIFF or PNG of 8 or 16 bits, grey or RGB",
+    )
+
+
 def _check_size(name: str, rows: int, columns: int, bytes_in_file: int) -> None:
     """Reject sizes that no camera has, or that a file of this length cannot hold."""
     pixels = rows * columns
@@ -263,7 +270,7 @@ def _full_range(image: NDArray[Any], name: str) -> Still:
     if image.ndim == 3 and image.shape[2] == 1:
         image = image[:, :, 0]
     if image.dtype not in (np.uint8, np.uint16):
-        raise _damaged(name, f"samples of type {image.dtype} are not supported")
+        raise _not_read(name, f"a picture of {image.dtype} samples")
     invalid = None
     if image.ndim == 3 and image.shape[2] in (2, 4):
         # What is transparent, entirely or in part, is not valid.
@@ -271,7 +278,7 @@ def _full_range(image: NDArray[Any], name: str) -> Still:
         image = image[:, :, 0] if image.shape[2] == 2 else image[:, :, :3]
         invalid = invalid if invalid.any() and not invalid.all() else None
     if image.ndim != 2 and not (image.ndim == 3 and image.shape[2] == 3):
-        raise _damaged(name, f"an array of shape {image.shape} is not supported")
+        raise _not_read(name, f"an array of shape {image.shape}")
     bits = 8 * image.dtype.itemsize
     return Still(
         np.ascontiguousarray(image),
@@ -319,9 +326,9 @@ def _read_page(page: Any, name: str, data: bytes) -> Still:
     _check_size(name, page.imagelength, page.imagewidth, bytes_in_file)
     _check_size(name, page.imagelength, page.imagewidth * page.samplesperpixel, bytes_in_file)
     if page.photometric not in (_MIN_IS_BLACK, _RGB):
-        raise _damaged(name, f"TIFF photometric interpretation {page.photometric} is not supported")
+        raise _not_read(name, f"a TIFF of photometric interpretation {_photometric(page)}")
     if page.bitspersample not in (8, 16) or page.imagedepth != 1:
-        raise _damaged(name, f"a TIFF of {page.bitspersample} bits per sample is not supported")
+        raise _not_read(name, f"a TIFF of {page.bitspersample} bits a sample")
     if not page.dataoffsets or len(page.dataoffsets) != len(page.databytecounts):
         raise _damaged(name, "the positions of its samples are missing")
     try:
@@ -333,6 +340,11 @@ def _read_page(page: Any, name: str, data: bytes) -> Still:
     if page.planarconfig == 2 and image.ndim == 3:
         image = np.moveaxis(image, 0, -1)
     return _full_range(image, name)
+
+
+def _photometric(page: Any) -> str:
+    number = page.photometric
+    return f"{int(number)} ({getattr(number, 'name', 'unknown').lower()})"
 
 
 def _decode_tiff(data: bytes, name: str) -> Still:
@@ -427,7 +439,7 @@ def _xyz_to_camera(raw: Any) -> NDArray[np.float64]:
 def _layout(raw: Any, samples: NDArray[np.uint16], name: str) -> tuple[Layout, NDArray[np.intp]]:
     """Return the layout, and the channel numbers of the smallest repeating pattern."""
     if samples.ndim == 3:
-        raise _damaged(name, "raw files with all colours in each pixel are not supported")
+        raise _not_read(name, "a raw file with all colours in each pixel")
     if raw.num_colors == 1:
         return Layout.MONO, np.zeros((1, 1), np.intp)
     channels = raw.raw_colors_visible[:2, :2].astype(np.intp)
@@ -435,7 +447,7 @@ def _layout(raw: Any, samples: NDArray[np.uint16], name: str) -> tuple[Layout, N
     word = "".join(names[channel] for channel in channels.ravel())
     pattern = raw.raw_pattern
     if word not in _PATTERNS or pattern is None or pattern.shape != (2, 2):
-        raise _damaged(name, f"the colour filter pattern {word} is not supported")
+        raise _not_read(name, f"a raw file with the colour filter pattern {word}")
     return _PATTERNS[word], channels
 
 

@@ -307,3 +307,20 @@ def test_four_inks_are_named() -> None:
         read_still(b"\xff\xd8" + frame + b"\xff\xd9", "print.jpg")
     assert "CMYK" in raised.value.what
     assert "RGB" in raised.value.hint
+
+
+@pytest.mark.parametrize(
+    ("samples", "photometric", "kind"),
+    [
+        (np.zeros((4, 6), np.float32), "minisblack", "a TIFF of 32 bits a sample"),
+        (np.zeros((4, 6), np.uint8), "miniswhite", r"a TIFF of .* 0 \(miniswhite\)"),
+        (np.zeros((4, 6, 4), np.uint8), "separated", r"a TIFF of .* 5 \(separated\)"),
+    ],
+)
+def test_a_sound_tiff_of_another_kind_is_not_called_damaged(
+    samples: NDArray[Any], photometric: str, kind: str
+) -> None:
+    buffer = io.BytesIO()
+    tifffile.imwrite(buffer, samples, photometric=photometric)
+    with pytest.raises(UsageError, match=f"a.tif is {kind}, which is not read; convert it"):
+        read_still(buffer.getvalue(), "a.tif")
