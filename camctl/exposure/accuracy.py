@@ -174,8 +174,7 @@ def most_accurate(
     if not near_tie or is_bound:
         return best
     levels = (1 - near_tie) * best.levels
-    near = search.reaching(levels, best.time) or search.shortened(best, levels)
-    return min(best, near, key=_time_then_count)
+    return min(best, search.nearly_as_accurate(best, levels), key=_time_then_count)
 
 
 def least_time(search: AccurateSets, limit: float, accuracy: float) -> Rated:

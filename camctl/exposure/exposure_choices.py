@@ -147,6 +147,24 @@ class AvailableExposures:
                 "shortest exposure, 1, between them"
             )
 
+    def in_steps(self, shots: Shots, limit: float) -> Shots:
+        """Return a set of a time at most `limit` with its times in the steps that can be set."""
+        step = self.step
+        if not step or self.times is not None:
+            return shots
+        gain = np.array([shot.gain for shot in shots])
+        place = (np.array([shot.time for shot in shots]) - 1) / step
+        if np.all(np.abs(place - np.round(place)) * step <= SAME * (1 + step * place)):
+            return shots
+        low, high = (self.shortest - 1) / step, (self.longest - 1) / step
+        for number in (np.round(place), np.floor(place + SAME)):
+            time = 1 + step * np.clip(number, math.ceil(low - SAME), math.floor(high + SAME))
+            rows = zip(time * gain / min(self.gains), time, gain, strict=True)
+            shots = tuple(sorted(Shot(float(e), float(t), float(g)) for e, t, g in rows))
+            if self.costs.total([shot.time for shot in shots]) <= limit * (1 + SAME):
+                break
+        return shots
+
     def duration(self, time: float) -> str:
         """Return the time of a set, given without its fixed time in this unit, as text."""
         time += self.costs.fixed

@@ -101,7 +101,7 @@ def check_noise(noise: Sequence[FrameNoise], n: int, response: CameraResponse) -
 
 def quantiser_input(response: CameraResponse, E: FloatArray) -> FloatArray:
     """Return the analog signal at E in brightness levels: k at level k, linear in between."""
-    levels, counts = np.unique(response.levels, return_counts=True)
+    levels, counts = response.steps
     height = np.cumsum(counts).astype(np.float64)
     if levels.size == 1:
         return np.asarray(height[0] * E / levels[0])
@@ -185,6 +185,15 @@ class NoisySum:
         self.counts = np.array(list(kinds.values()))
         self.black = sum(frame.black for frame in noise)
         self.top = camera.levels_total + self.black
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether no frame has noise: an irradiance has one sum."""
+        return all(
+            math.isinf(each.electrons_per_level)
+            and not (each.read_noise_levels or each.dsnu_levels or each.dark_levels)
+            for each in (frame.noise for frame in self.frames)
+        )
 
     def clips_widely(self, E: FloatArray) -> NDArray[np.bool_]:
         """Return at which E (Q,) a wide distribution of a frame ends at black or at white.

@@ -165,7 +165,7 @@ class Posterior:
         white = np.array([least.thresholds[-1] / least.exposure])
         brightest = white + NORMAL_REACH * least.deviation(white) / least.exposure
         ends = np.array([0.0, self._response.desired.e_min, 1.0, max(1.0, float(brightest[0]))])
-        E = np.unique(np.concatenate([levels, ends]))
+        E = _distinct([levels, ends])
         v = self._response.v(E)
         gap, middle = np.diff(v), (E[1:] + E[:-1]) / 2
         noise = np.maximum(_deviation(self.sum, middle), 1e-300) * gap / np.diff(E)
@@ -183,7 +183,7 @@ class Posterior:
         keep[:-1] |= wide
         keep[1:] |= wide
         edges = [np.interp(steps, density, v), v[keep], self._response.v(ends)]
-        return np.unique(np.concatenate(edges))
+        return _distinct(edges)
 
     @cached_property
     def _nodes(self) -> tuple[FloatArray, FloatArray]:
@@ -278,6 +278,8 @@ class Posterior:
         Without the rest of the inverse: light at v and more cannot have less than the least sum at
         v, so that what lower sums say follows from the darker nodes alone.
         """
+        if self.sum.is_exact:
+            return self._dark_gaps
         v, weight = self._nodes
         last = float(self._cells[int(np.searchsorted(self._cells, 0.0)) + _FIRST_DARK])
         while last < 1 and "inverse" not in vars(self):
@@ -295,6 +297,15 @@ class Posterior:
                 return found, float(E[0])
             last *= 2
         return self.inverse.dark, np.inf
+
+    @property
+    def _dark_gaps(self) -> tuple[NDArray[np.bool_], float]:
+        """`_darkness` without noise: each sum says a gap, whose middle in v is below the range."""
+        levels = self.sum.camera.distinct
+        v = self._response.v(np.append(0.0, levels))
+        last = max(int(np.searchsorted(v[1:] + v[:-1], 0.0)) - 1, 0)
+        count = int(np.searchsorted(self.sum.camera.levels, levels[last]))
+        return np.arange(self.sum.top + 1) <= self.sum.black + count, float(levels[last])
 
     def _least_sum(self, E: FloatArray) -> int:
         """Return the least sum that occurs at an irradiance, (1,)."""
@@ -375,6 +386,13 @@ def posterior_of(
             desired=desired,
         )
     )
+
+
+def _distinct(parts: list[FloatArray]) -> FloatArray:
+    """Return the different numbers of ascending parts, ascending."""
+    merged = np.concatenate(parts)
+    merged.sort(kind="stable")  # merges sorted runs
+    return np.asarray(merged[np.append(True, merged[1:] != merged[:-1])])
 
 
 def _deviation(total: NoisySum, E: FloatArray) -> FloatArray:

@@ -22,6 +22,7 @@ from camctl.exposure.accurate.estimate import FrameAccuracy
 from camctl.exposure.accurate.frame_sets import Design
 from camctl.exposure.accurate.tuning import BETTER, LEAST_WEIGHT, TunedSets
 from camctl.exposure.settings_grid import SAME
+from camctl.model.effective import MOST_SEARCHED
 from camctl.model.response.camera import FloatArray
 
 WEIGHTS = (10.0, 5.0, 3.0, 2.0, 1.6, 1.3, 1.15, 1.0, 0.85, 0.7, 0.5, 0.35, 0.2, 0.1, 0.05)
@@ -215,8 +216,15 @@ class DesignSearch(TunedSets):
 
     @cached_property
     def _most_accurate(self) -> list[Design]:
-        """It and, of a given number of frames, another one that is found in another way."""
-        last, (fewest, most) = self.trace()[-1], self.counts
+        """It and, of a given number of frames, another one that is found in another way.
+
+        Of many frames it is this one alone: 44 cases of 24 to 64 frames have at most 0.05 % fewer
+        levels by the estimate.
+        """
+        fewest, most = self.counts
+        if fewest == most > MOST_SEARCHED:
+            return [self.untraced(most)]
+        last = self.trace()[-1]
         found = self._shared_again(self.tuned(self.exchanged(last, LEAST_WEIGHT), LEAST_WEIGHT))
         return sorted([found] if fewest < most else [found, self.untraced(most)], key=_mse)
 
@@ -247,6 +255,13 @@ class DesignSearch(TunedSets):
         """Return the most accurate set of as many frames that exchanges find."""
         return self.tuned(self.exchanged(design, LEAST_WEIGHT, sizes=False), LEAST_WEIGHT)
 
+    def nearly(self, best: Design, levels: float) -> Design:
+        """Return about the shortest set of as many frames as the most accurate with `levels`."""
+        weight = WEIGHTS[-1]
+        shorter = self.tuned(self.exchanged(best, weight, sizes=False), weight)
+        starts = [each for each in (best, shorter) if each.levels >= levels]
+        return min((self.reduced(each, levels) for each in starts), key=lambda each: each.time)
+
     def within(self, limit: float) -> Design:
         """Return about the set of least error that takes `limit` at most, without the fixed time.
 
@@ -275,6 +290,8 @@ class DesignSearch(TunedSets):
         nothing: by the estimate, sets of different numbers are often equal, which the exact
         prediction tells apart.
         """
+        if math.isinf(limit):
+            return self._most_accurate
         traced = self.trace(time=limit)
         below = [each for each in traced if each.time <= limit]
         above = [each for each in traced if each.time > limit]

@@ -17,7 +17,8 @@ from camctl.model.response.camera import every_nth_level
 MAX_JUDGED_LEVELS = 2047
 """Cameras of more levels are judged by every second, fourth, ... of them, corrected by the ratio of
 the estimates: within 0.3 % of the result with all of them, for two and more frames of a sensor
-whose noise dithers the quantiser (12 and 14 bits, 1:256 to 1:16,000)."""
+whose noise dithers the quantiser (12 and 14 bits, 1:256 to 1:16,000).  Of more than `JUDGED_FRAMES`
+frames half as many levels are as good (40 and 64 frames of 16 bits, the same ranges)."""
 
 
 JUDGED_FRAMES = 32
@@ -41,10 +42,8 @@ class Judge:
 
     def __init__(self, frames: FrameAccuracy, *, dithered: bool) -> None:
         self._rated: dict[Shots, Rated] = {}
-        self._frames = self._coarse = frames
-        step = math.ceil(math.log2((frames.problem.response.M + 1) / (MAX_JUDGED_LEVELS + 1)))
-        if dithered and step > 0:
-            self._coarse = type(frames)(_coarser(frames.problem, 2**step), frames.edges)
+        self._frames, self._dithered = frames, dithered
+        self._coarse: dict[int, FrameAccuracy] = {0: frames}
 
     @property
     def ratings(self) -> int:
@@ -59,13 +58,18 @@ class Judge:
         return self._rated[shots]
 
     def _levels(self, shots: Shots) -> float:
-        by_all = self._frames.problem
-        if len(shots) > JUDGED_FRAMES and by_all.response.M <= MOST_LEVELS_OF_MANY:
+        by_all, is_many = self._frames.problem, len(shots) > JUDGED_FRAMES
+        if not self._dithered or (is_many and by_all.response.M <= MOST_LEVELS_OF_MANY):
             return _exact(by_all, shots)
-        levels = _exact(self._coarse.problem, shots)
-        if self._coarse is self._frames:
-            return levels
-        return levels * self.estimated(shots) / _estimate(self._coarse, shots)
+        halvings = math.ceil(math.log2((by_all.response.M + 1) / (MAX_JUDGED_LEVELS + 1))) + is_many
+        halvings = max(halvings, 0)
+        if halvings not in self._coarse:
+            self._coarse[halvings] = type(self._frames)(
+                _coarser(by_all, 2**halvings), self._frames.edges
+            )
+        coarse = self._coarse[halvings]
+        levels = _exact(coarse.problem, shots)
+        return levels * self.estimated(shots) / _estimate(coarse, shots) if halvings else levels
 
     def estimated(self, shots: Shots) -> float:
         """Return the effective levels of a set by the estimate."""

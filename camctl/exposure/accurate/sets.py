@@ -24,11 +24,12 @@ from camctl.exposure.accurate.judge import JUDGED_FRAMES, Judge
 from camctl.exposure.accurate.least_quantisation import least_quantisation
 from camctl.exposure.accurate.listed import ListedSets
 from camctl.exposure.accurate.tuning import CLOSE, CORRECTIONS, MIDDLE
-from camctl.exposure.exposure_choices import AccuracyProblem, Rated, Shot, Shots, bases
+from camctl.exposure.exposure_choices import AccuracyProblem, Rated, Shots, bases
 from camctl.exposure.noise import DITHERS
 from camctl.exposure.random_sets import interleave_step
 from camctl.exposure.settings_grid import SAME
 from camctl.model.distribution import deviation
+from camctl.model.effective import MOST_SEARCHED
 
 DITHERING = 0.3
 """Noise in levels from which the quantiser counts as dithered: the estimate is then within 3 %."""
@@ -133,6 +134,8 @@ class AccurateSets:
 
     def is_bound(self, limit: float) -> bool:
         """Return whether longer sets than `limit` are more accurate."""
+        if math.isinf(limit):
+            return False
         if any(search.trace(time=limit)[-1].time > limit for search in self.searches):
             return True
         return limit < self.longest_of_use
@@ -207,38 +210,25 @@ class AccurateSets:
                 design = next(design for design, each in near if each is search)
                 least = least_quantisation(search, design, limit, thorough=polished, start=start)
                 found += [self.judge(least)] if least else []
-            found = [self._in_steps(each, limit) for each in found]
+            in_steps = self.problem.available.in_steps
+            found = [self.judge(in_steps(each.shots, limit)) for each in found]
         return max(found, key=lambda each: (each.levels, -each.time))
 
-    def _in_steps(self, rated: Rated, limit: float) -> Rated:
-        """Return a set of a time at most `limit` with its times in the camera's steps."""
-        available = self.problem.available
-        step = available.step
-        if not step or available.times is not None:
-            return rated
-        gain = np.array([shot.gain for shot in rated.shots])
-        place = (np.array([shot.time for shot in rated.shots]) - 1) / step
-        if np.all(np.abs(place - np.round(place)) * step <= SAME * (1 + step * place)):
-            return rated
-        low, high = (available.shortest - 1) / step, (available.longest - 1) / step
-        for number in (np.round(place), np.floor(place + SAME)):
-            time = 1 + step * np.clip(number, math.ceil(low - SAME), math.floor(high + SAME))
-            rows = zip(time * gain / min(available.gains), time, gain, strict=True)
-            shots = tuple(sorted(Shot(float(e), float(t), float(g)) for e, t, g in rows))
-            if available.costs.total([shot.time for shot in shots]) <= limit * (1 + SAME):
-                break
-        return self.judge(shots)
-
-    def front(self, limits: Sequence[float]) -> list[Rated]:
+    def front(self, limits: Sequence[float], best: Shots = ()) -> list[Rated]:
         """Return about the most accurate set within each of some ascending times.
+
+        Where noise does not dither the quantiser, those of longer times than `best`, a set that
+        was searched for thoroughly, begin with it.
 
         Where noise dithers the quantiser, sets of more than `FEW` frames are not all judged: the
         ratio of the exact levels to the estimate is interpolated between some of them.
         """
         if not self.dithered or self._listed.numbers:
             rated: list[Rated] = []
+            others = [self.judge(best)] if best and not self.dithered else []
             for limit in limits:
-                start = rated[-1].shots if rated else ()
+                below = [each for each in others if each.time <= limit] + rated[-1:]
+                start = max(below, key=lambda each: each.levels).shots if below else ()
                 rated.append(self.within(limit, polished=False, start=start))
             return rated
         both = [self._best_estimated(limit) for limit in limits]
@@ -344,19 +334,31 @@ class AccurateSets:
         if is_few or not self.dithered or self.searches[0].is_list:
             return None
         best, search = self._best_estimated(math.inf)
-        least = share * best.levels
-        time = max(self.least_time(self.counts[0]), self._estimated_time(least))
-        found, search = min(
-            ((search.reduced(best, least), search), self._best_estimated(time)),
-            key=lambda pair: pair[0].time if pair[0].levels >= least else math.inf,
-        )
-        found = search.reduced(found, least)
+        found = search.nearly(best, share * best.levels)
         return Rated(search.shots(found), found.levels, found.time)
 
-    def shortened(self, best: Rated, levels: float) -> Rated:
-        """Return a set with its times reduced in proportion, as far as it keeps `levels`."""
+    def nearly_as_accurate(self, best: Rated, levels: float) -> Rated:
+        """Return a shorter set that has `levels`, or `best`."""
         search = self.searches[0]
-        if search.is_list or self.enumerated:
+        if self.dithered or search.is_list or self.counts[0] <= MOST_SEARCHED:
+            return self.reaching(levels, best.time) or self._shortened(best, levels)
+        most = search.most_accurate
+        shorter = search.reduced(most, levels / best.levels * most.levels).time / most.time
+        low, time = self.least_time(self.counts[0]), min(most.time, best.time * shorter)
+        for _ in range(CORRECTIONS):
+            found = self.within(max(low, time), polished=False)
+            if found.levels < levels:
+                break
+            best, time = found, found.time * shorter
+        return best
+
+    def _shortened(self, best: Rated, levels: float) -> Rated:
+        """Return a set with its times reduced in proportion, as far as it keeps `levels`.
+
+        Where noise does not dither the quantiser that does not keep how levels interleave.
+        """
+        search = self.searches[0]
+        if search.is_list or not self.dithered:
             return best
         log_exposure = np.log([shot.exposure for shot in best.shots])
         gain = np.searchsorted(search.gains, [shot.gain for shot in best.shots])

@@ -45,7 +45,7 @@ from camctl.model.effective import EffectiveCamera
 from camctl.model.noise import FrameNoise
 from camctl.model.response.desired import DesiredResponse
 
-VERSION = 17
+VERSION = 18
 """Part of the key of a kept point; it changes where the search finds other settings."""
 
 POINTS = 12
@@ -174,8 +174,9 @@ class Front:
         sets, fixed = self._sets, self._problem.available.costs.fixed
         first, last = sets.least_time(min(self._counts)), sets.longest_of_use
         times = np.geomspace(first + fixed, max(first, last) + fixed, POINTS) - fixed
-        found = [self._point(each) for each in sets.front(times.tolist())]
-        found.append(self.recommended)
+        known = self.recommended
+        rated = sets.front(times.tolist(), self._shots(known.settings))
+        found = [known, *map(self._point, rated)]
         found.sort(key=lambda point: (point.time_s, -point.levels))
         front: list[FrontPoint] = []
         for point in found:

@@ -88,6 +88,11 @@ class CameraResponse:
         text = " ".join(["%.9g"] * self.M) % tuple(self.levels.tolist())
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
+    @cached_property
+    def steps(self) -> tuple[FloatArray, NDArray[np.intp]]:
+        """The irradiances at which brightness changes, (K,) ascending, and by how many levels."""
+        return np.unique(self.levels, return_counts=True)
+
     def slope(self, E: ArrayLike) -> FloatArray:
         """Return the slope of brightness in levels per unit of irradiance, in the shape of E.
 
@@ -95,7 +100,7 @@ class CameraResponse:
         slope of the first gap, above the last level of the last gap: the caller must handle
         saturation.
         """
-        distinct, counts = np.unique(self.levels, return_counts=True)
+        distinct, counts = self.steps
         if distinct.size == 1:
             return np.full(np.shape(E), counts[0] / distinct[0])
         steepness = counts[1:] / np.diff(distinct)
