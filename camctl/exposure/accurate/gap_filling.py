@@ -10,8 +10,9 @@ compute it.  It takes no account of levels that divide the same gap; the best e 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -35,9 +36,11 @@ NEAR = 1.03
 STEPS = 4
 """Steps of Newton's method for each such set."""
 
-COARSE, FEWEST = 3, 4096
+COARSE, FEWEST = 5, 4096
 """Step of the exposures that are compared, in mean gaps of ln E between the levels of a set near
-full scale; and how many values are transformed at least, which takes 20 us."""
+full scale; and how many values are transformed at least, which takes 20 us.  With 3 mean gaps
+14 problems have 0.3 % fewer levels within a time and take 8 % more time to plan, with 8 they have
+0.6 % fewer and take 3 % less."""
 
 MOVES = 3 ** np.arange(5.0)
 """Steps of the camera's times by which an exposure is moved: with both signs, powers of three add
@@ -203,9 +206,13 @@ class GapFilling:
             trials, errors = places.filled(trial, missing)
             if not len(trials):
                 return trial, math.inf
-            other = int(rng.integers(len(trials)))
-            place = other if missing and rng.random() < 0.5 else int(np.argmin(errors))
-            trial, error = trials[place], float(errors[place])
+            place = int(rng.integers(len(trials)))
+            if missing and rng.random() < 0.5:
+                trial = trials[place]
+                continue
+            rated = errors()
+            place = int(np.argmin(rated))
+            trial, error = trials[place], float(rated[place])
         return trial, error
 
     def settled(self, row: FloatArray, least: float = 0.0) -> tuple[FloatArray, float]:
@@ -367,8 +374,8 @@ class _Places:
         within = filling.within
         self._costs = within.costs.each(np.exp(self._exposures) * within.unit)
 
-    def filled(self, row: FloatArray, missing: int) -> tuple[FloatArray, FloatArray]:
-        """Return sets (B, n + 1) with one more exposure, and their errors (B,).
+    def filled(self, row: FloatArray, missing: int) -> tuple[FloatArray, Callable[[], FloatArray]]:
+        """Return sets (B, n + 1) with one more exposure, and what computes their errors (B,).
 
         B is up to `RATED`; they are those within the time alone.
 
@@ -388,7 +395,7 @@ class _Places:
         sets = np.column_stack([np.broadcast_to(row, (best.size, row.size)), more])
         sets.sort(axis=1)
         fits = within.total(sets) <= within.limit
-        return sets[fits], gaps.errors_with(more[fits])
+        return sets[fits], partial(gaps.errors_with, more[fits])
 
     def _lowered(self, gaps: _Gaps) -> FloatArray:
         """Return what one more exposure lowers the error by, for each of `_exposures`."""
