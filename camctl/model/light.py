@@ -44,6 +44,8 @@ _SHARP = 0.25
 #: left out: of all frames that are clipped, or, divided by the number of frames, of each.
 _DECISIVE, _NOTABLE = 0.05, 0.01
 
+#: What noise that is cut off at black moves a mean by, of its deviation: 1 % of the square.
+_MOST_MOVED = 0.1
 #: Variance of a sample that is not less, of full scale squared.
 _LEAST_VARIANCE = 1e-16
 
@@ -92,7 +94,11 @@ class _Weights:
         step = np.maximum(sensor.step(x), 1e-12)
         reach = CLIPPING_SIGMAS * np.sqrt(noise)
         saturated = x + reach >= sensor.full
-        clipped = x - reach < sensor.light[0] - sensor.gap[0] / 2
+        if frames.noise[0].compression_levels:  # exact probabilities are not used
+            least = _least_distance(len(exposures)) * np.sqrt(noise)
+            clipped = x - least < sensor.light[0]
+        else:
+            clipped = x - reach < sensor.light[0] - sensor.gap[0] / 2
         variance = (noise + step**2 / 12) / exposures**2
         certain = x - reach >= sensor.full
         information = np.where(certain, 0.0, 1 / variance)
@@ -127,6 +133,18 @@ class _Weights:
             np.sqrt(pattern),
             np.sqrt(of_sum / slopes.sum(axis=0) ** 2 + (prnu * E) ** 2),
         )
+
+
+def _least_distance(count: int) -> float:
+    """Return how far from the least light of a sample that counts the light is, in deviations.
+
+    Noise that is cut off there moves the mean of samples at z deviations from it by
+    density(z) - z P(above z) of them, that of all `count` frames, too.  The deviation of this mean
+    is the root of `count` less.
+    """
+    z = np.linspace(0.0, CLIPPING_SIGMAS, 512)
+    moved = np.exp(-z * z / 2) / math.sqrt(2 * math.pi) - z * (1 - normal_cdf(z))
+    return float(np.interp(-_MOST_MOVED / math.sqrt(count), -moved, z))
 
 
 def light_of_sums(frames: FrameSet, sensor: SensorModel) -> FloatArray:

@@ -480,3 +480,20 @@ def test_noise_that_the_frames_do_not_show_gives_no_standard_deviation(
     assert finding.value == np.mean(np.isnan(found.sd))
     middle = SensorModel(camctl.linear_response(8), 0).light[frames[0]]
     assert np.allclose(found.irradiance, middle, rtol=0.02, atol=0.01)
+
+
+def test_dark_colours_of_jpeg_files_are_found_from_all_frames_that_show_them() -> None:
+    """Frames within 3 standard deviations of black did not count: errors were 0.285."""
+    real, exposures = camera("srgb"), tuple(1.6**k for k in range(9))
+    squares = np.kron(np.random.default_rng(4).uniform(0.5, 1, (12, 18, 3)), np.ones((16, 16, 1)))
+    light = np.asarray(cv2.GaussianBlur(squares, (0, 0), 1.0), np.float64)
+    light *= np.geomspace(1e-4, 3e-3, 288)[:, np.newaxis]
+    light[:48] *= 100
+    lossy = []
+    for each in shot(light, exposures, real, FrameNoise(25.0, 1.0)):
+        data = cv2.imencode(".jpg", each[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])[1]
+        lossy.append(np.asarray(cv2.imdecode(data, 1), np.uint8)[..., ::-1])
+    found = camctl.combine(lossy, exposures, response=real, noise=FrameNoise(25.0, 1.0))
+    ratios = np.log(found.irradiance / light)[64:][light[64:] < 1e-3]
+    assert abs(ratios.mean()) < 0.03
+    assert np.sqrt(np.mean(ratios**2)) < 0.27
