@@ -36,6 +36,8 @@ CODES: Final[dict[str, str]] = {
     "delay_contradicts": "frames by which exposures took effect late; negative: early",
     "frame_white": "share of the frame that is saturated, though the metered light is not",
     "frame_damaged": "share of the frame that shows no scene: its samples are any codes",
+    "lines_damaged": "share of the frame's lines that are in `place`, where some contradict most"
+    " other frames from one side to the other",
     "exposure_estimated": "exposure in the pixels over the stated one",
     "not_estimated": "nothing: an exposure, or all of them, could not be estimated from the pixels",
     "curve_repaired": "nothing: the curve of the camera was repaired; `repair` says how",

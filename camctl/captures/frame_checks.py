@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -16,10 +16,16 @@ from camctl.evidence.damage import damaged_share
 from camctl.evidence.delay import ShotLog
 from camctl.evidence.light_ratio import MOST_CHANGE, FrameSample, NeighbourCheck
 from camctl.evidence.patches import Patches, patch_places
-from camctl.evidence.raster_damage import is_wrong_alone, light_limits, wrong_lines
+from camctl.evidence.raster_damage import (
+    LightLimits,
+    damaged_lines,
+    is_wrong_alone,
+    light_limits,
+    wrong_lines,
+)
 from camctl.evidence.ratio_check import RatioCheck
 from camctl.evidence.residual import Pair, Side
-from camctl.findings import Finding
+from camctl.findings import Finding, Place
 from camctl.interface.camera import Camera, Pixels
 from camctl.interface.controls import ExposureControls, Layout, ResponseOrigin
 from camctl.model.noise import FrameNoise
@@ -61,6 +67,7 @@ class FrameChecks:
         )
         self._delay_of = camera.info.id if self._log.has_delay else None
         self.thumbnails: dict[int, NDArray[np.uint8]] = {}
+        self._light: dict[int, LightLimits] = {}
         self._damage: dict[int, float] = {}  # share that shows no scene, of frames judged so far
 
     def begin(self, positions: Sequence[int]) -> None:
@@ -92,6 +99,7 @@ class FrameChecks:
     def end(self) -> None:
         """Free the patches of the frames, 0.6 MB of each, once all that they show is known."""
         self._check.clear()
+        self._light.clear()
         self._shots.clear()
 
     def suspects(self) -> list[int]:
@@ -106,7 +114,10 @@ class FrameChecks:
         checks = [frame.ratio for frame in self._frames]
         # What is wrong with the exposure of a damaged frame, and of those beside it, is not known;
         # of a wrong exposure only the brighter lines may contradict the other frames.
-        wrong = self._damaged() or suspects(checks) or self._with_wrong_lines()
+        damaged = sorted({*self._damaged(), *self._damaged_lines()})
+        alone = self._alone(damaged)
+        wrong = sorted({*damaged, *alone}) if damaged else suspects(checks) or alone
+        wrong = wrong or self._with_wrong_lines()
         return [k for k in wrong if self._frame(k).attempts == 1]
 
     @property
@@ -158,6 +169,16 @@ class FrameChecks:
         reasons += [
             Finding(code="frame_damaged", frames=(position,), value=share)
             for position, share in self._damaged().items()
+        ]
+        reasons += [
+            Finding(
+                code="lines_damaged",
+                frames=(position,),
+                value=(place.bottom - place.top) / self._controls.shape[0],
+                place=place,
+            )
+            for position, place in self._damaged_lines().items()
+            if position not in self._damaged()
         ]
         self._capture.distrust(reasons)
         self._capture.findings += [*others, *self._delay_settled()]
@@ -223,42 +244,91 @@ class FrameChecks:
                 self._damage[position] = damaged_share(each, beside, codes)
         return {place: share for place, share in sorted(self._damage.items()) if share}
 
-    def _with_wrong_lines(self) -> list[int]:
-        """Return the positions of frames some lines of which were probably lost or shifted.
+    def _damaged_lines(self) -> dict[int, Place]:
+        """Return where lines of frames contradict most other frames, by position.
 
-        So is one that contradicts the frames beside it where they agree with each other: whatever
-        was in it alone, another frame is better.  Where the response is only assumed, lines may
-        contradict others by their brightness.
+        Frames that cannot be shot again were compared before.
         """
-        controls, samples = self._controls, self._check.samples(len(self._capture.frames))
-        if self._check.scale.is_coarse or controls.response_origin is ResponseOrigin.ASSUMED:
+        if not (self._shows_lines and self._controls.repeatable):
+            return {}
+        rows, columns, side, step = self._places()
+        found = damaged_lines(self._limits(), self._exposures, (rows.size, columns.size))
+        height, width = self._controls.shape
+        return {
+            position: Place(
+                top=int(rows[first]) * step,
+                left=0,
+                bottom=min((int(rows[stop - 1]) + side) * step, height),
+                right=width,
+            )
+            for position, (first, stop) in found.items()
+        }
+
+    def _alone(self, damaged: Collection[int]) -> list[int]:
+        """Return the frames that contradict those beside them where these agree with each other.
+
+        Whatever was in such a frame alone, another frame is better.
+
+        Args:
+            damaged: frames that are damaged, and that others are not compared with
+        """
+        kept = [k for k in range(len(self._capture.frames)) if k not in damaged]
+        if len(kept) < 3 or not self._shows_lines:
             return []
-        colours = (3,) if controls.layout is Layout.RGB else ()
-        planes = controls.layout.planes(np.empty((*controls.shape, *colours), np.uint8))
-        rows, columns, _ = patch_places([each.shape for each in planes])
-        grid = rows.size, columns.size
-        exposures = [controls.exposure(frame.applied) for frame in self._frames]
-        limits = [light_limits(each, self._check.scale) for each in samples]
+        limits, exposures, found = self._limits(), self._exposures, []
+        for number, place in enumerate(kept):
+            first = min(max(number - 1, 0), len(kept) - 3)
+            one, other = (k for k in kept[first : first + 3] if k != place)
+            some = (limits[one], limits[place], limits[other])
+            if is_wrong_alone(some, (exposures[one], exposures[place], exposures[other])):
+                found.append(place)
+        return found
+
+    def _with_wrong_lines(self) -> list[int]:
+        """Return the positions of frames some lines of which were probably lost or shifted."""
+        if not self._shows_lines:
+            return []
+        limits, exposures = self._limits(), self._exposures
+        rows, columns, *_ = self._places()
 
         def differ(one: int, other: int) -> bool:
             ratio = exposures[other] / exposures[one]
-            return wrong_lines((limits[one], limits[other]), ratio, grid)
+            return wrong_lines((limits[one], limits[other]), ratio, (rows.size, columns.size))
 
-        def is_alone(place: int) -> bool:
-            first = min(max(place - 1, 0), len(limits) - 3)
-            one, other = (k for k in range(first, first + 3) if k != place)
-            some = (limits[one], limits[place], limits[other])
-            return is_wrong_alone(some, (exposures[one], exposures[place], exposures[other]))
-
-        if len(samples) > 2 and (alone := [k for k in range(len(samples)) if is_alone(k)]):
-            return alone
-        wrong = [later for later in range(1, len(samples)) if differ(later - 1, later)]
+        wrong = [later for later in range(1, len(limits)) if differ(later - 1, later)]
         # Where the frames on both sides differ, too, something as wide as the picture moved.
         moved = {later for later in wrong if later + 1 in wrong and differ(later - 1, later + 1)}
         return suspected(k for k in wrong if not {k, k - 1} & moved)
 
+    @property
+    def _shows_lines(self) -> bool:
+        """Whether light is known: of an assumed response lines may differ by their brightness."""
+        is_assumed = self._controls.response_origin is ResponseOrigin.ASSUMED
+        return not (self._check.scale.is_coarse or is_assumed)
+
+    def _limits(self) -> list[LightLimits]:
+        """Return between which limits the light of each frame is."""
+        samples = self._check.samples(len(self._capture.frames))
+        for position, each in enumerate(samples):
+            if position not in self._light:
+                self._light[position] = light_limits(each, self._check.scale)
+        return [self._light[position] for position in range(len(samples))]
+
+    def _places(self) -> tuple[NDArray[np.intp], NDArray[np.intp], int, int]:
+        """Return rows, columns and side of the patches of a colour, and its lines' distance."""
+        controls = self._controls
+        colours = (3,) if controls.layout is Layout.RGB else ()
+        planes = controls.layout.planes(np.empty((*controls.shape, *colours), np.uint8))
+        step = round(controls.shape[0] / planes[0].shape[0])  # 2 in a mosaic
+        return *patch_places([each.shape for each in planes]), step
+
+    @property
+    def _exposures(self) -> list[float]:
+        return [self._controls.exposure(frame.applied) for frame in self._frames]
+
     def _forget_damage(self, position: int) -> None:
         """Forget what is known of a frame that changed, and of those judged beside it."""
+        self._light.pop(position, None)
         for place in (position - 1, position, position + 1):
             self._damage.pop(place, None)
 

@@ -43,6 +43,9 @@ from camctl.records.report import Achieved, CaptureReport, Irradiance, Unfinishe
 from camctl.records.simulation_summary import simulation_summary, without_plan
 from camctl.system.memory import return_free_memory
 
+#: Codes of findings that a frame was damaged.
+_DAMAGE = frozenset({"frame_damaged", "lines_damaged"})
+
 
 @dataclass(frozen=True, eq=False)
 class _Shot:
@@ -360,8 +363,12 @@ def _movement_findings(
     *,
     repeatable: bool,
 ) -> list[Finding]:
-    """Return what the frames say of movement, and of light that spread."""
-    if movement is None:
+    """Return what the frames say of movement, and of light that spread.
+
+    What is damaged in a frame contradicts the others as both do.
+    """
+    is_damaged = any(each.code in _DAMAGE for each in unfinished.findings)
+    if movement is None or is_damaged:
         return []
     found = movement.found.findings
     if ghosts is not None:

@@ -111,6 +111,15 @@ def _frame_damaged(finding: Finding) -> str:
     )
 
 
+def _lines_damaged(finding: Finding) -> str:
+    assert finding.place is not None  # as where the finding was made
+    return (
+        f"lines {finding.place.top} to {finding.place.bottom - 1} of frame {finding.frames[0] + 1} "
+        "contradict most other frames from one side to the other: lines were lost or shifted on "
+        "their way from the camera, and the light is wrong there (mask bit 4)"
+    )
+
+
 def _exposure_estimated(finding: Finding) -> str:
     frame, reference = finding.frames
     return (
@@ -296,6 +305,7 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
     "delay_contradicts": _delay_contradicts,
     "frame_white": _frame_white,
     "frame_damaged": _frame_damaged,
+    "lines_damaged": _lines_damaged,
     "exposure_estimated": _exposure_estimated,
     "not_estimated": _not_estimated,
     "curve_repaired": lambda finding: str(finding.details["repair"]),

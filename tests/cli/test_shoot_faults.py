@@ -63,6 +63,31 @@ def test_a_frame_that_others_contradict_is_shot_again(run: Run, fault: str, agai
     assert "places" not in ran.json["movement"]
 
 
+@pytest.mark.parametrize("kind", ["truncate", "green", "jpeg", "shift"])
+def test_lines_that_are_damaged_twice_make_a_capture_untrustworthy(run: Run, kind: str) -> None:
+    """The tenth shot is the second one of frame 9."""
+    if kind == "jpeg":
+        pytest.importorskip("cv2", reason="OpenCV is blocked")
+    faults = f"faults={kind}@8,{kind}@10"
+    ran = run("shoot", "-O", "size=160x120", "-O", faults, "--json")
+    assert ran.status == 3
+    (found,) = ran.json["findings"]
+    assert (found["code"], found["frames"]) == ("lines_damaged", [8])
+    assert 36 <= found["place"]["top"] < 84  # it begins in 30 to 70 % of the height
+    assert "of frame 9 contradict most other frames" in ran.json["warnings"][0]
+
+
+@pytest.mark.parametrize(
+    ("faults", "again"),
+    [("truncate@0,shift@1", [1, 2]), ("truncate@2,truncate@3,truncate@4", [3, 4, 5])],
+)
+def test_damaged_frames_do_not_hide_each_other(run: Run, faults: str, again: list[int]) -> None:
+    ran = run("shoot", "-O", "size=160x120", "-O", f"faults={faults}", "--json")
+    frames = ran.json["frames"]
+    assert [n for n, one in enumerate(frames, 1) if one.get("attempts", 1) > 1] == again
+    assert (ran.status, ran.json["findings"]) == (0, [])
+
+
 @pytest.mark.parametrize("fault", ["unplug@2", "freeze@2"])
 def test_a_camera_that_is_gone_leaves_frames_that_can_be_resumed(run: Run, fault: str) -> None:
     ran = shot(run, fault)

@@ -12,7 +12,12 @@ import pytest
 
 from camctl.evidence.light_ratio import NeighbourCheck
 from camctl.evidence.patches import patch_places
-from camctl.evidence.raster_damage import is_wrong_alone, light_limits, wrong_lines
+from camctl.evidence.raster_damage import (
+    damaged_lines,
+    is_wrong_alone,
+    light_limits,
+    wrong_lines,
+)
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import ExposureSetting
 from camctl.sim.camera import SimulatedCamera
@@ -122,3 +127,60 @@ def test_what_is_at_rest_or_moves_on_is_in_no_frame_alone(scene: str) -> None:
 
     assert not is_second_wrong(scene, "standard", lambda frames: None)
     assert not is_second_wrong(scene, "standard", moved)
+
+
+@lru_cache
+def bracket(scene: str) -> tuple[SimulatedCamera, list[ExposureSetting], list[Pixels]]:
+    """Return five frames, each of twice the exposure of the one before."""
+    camera = SimulatedCamera(load_scene(scene, (240, 320)), load_sensor("standard"), seed=3)
+    chosen = [ExposureSetting(SHORTEST_S.get(scene, 0.003) * 2**k) for k in range(5)]
+    return camera, chosen, [frame.pixels for frame in camera.shoot(chosen)]
+
+
+def lines_of(scene: str, changed: Callable[[int, Pixels], Pixels]) -> dict[int, tuple[int, int]]:
+    """Return the damaged lines of the frames of `bracket`, after `changed` of each."""
+    camera, chosen, frames = bracket(scene)
+    controls = camera.controls
+    check = NeighbourCheck(controls.levels, controls.black, controls.layout)
+    limits = [
+        light_limits(check.sample(changed(k, frame), noise), check.scale)
+        for k, (frame, noise) in enumerate(zip(frames, controls.frame_noise(chosen), strict=True))
+    ]
+    planes = controls.layout.planes(frames[0])
+    rows, columns, _ = patch_places([each.shape for each in planes])
+    return damaged_lines(limits, [2.0**k for k in range(5)], (rows.size, columns.size))
+
+
+@pytest.mark.parametrize("kind", ["truncate", "shift"])
+@pytest.mark.parametrize("scene", ["tile-floor", "cloth"])
+def test_two_frames_with_damaged_lines_do_not_hide_each_other(kind: str, scene: str) -> None:
+    def changed(k: int, frame: Pixels) -> Pixels:
+        return damaged(frame, kind, k, 255) if k in {1, 2} else frame
+
+    assert set(lines_of(scene, changed)) == {1, 2}
+
+
+def shifted(frame: Pixels, rows: int, columns: int) -> Pixels:
+    """Return what a camera sees that was moved by so many pixels."""
+    down, across = (
+        np.clip(np.arange(length) + by, 0, length - 1)
+        for length, by in zip(frame.shape, (rows, columns), strict=False)
+    )
+    found: Pixels = frame[down[:, np.newaxis], across]
+    return found
+
+
+def with_person(frame: Pixels, left: int) -> Pixels:
+    """Return a frame with something in it, 70 pixels wide, from a third of the height on."""
+    found = frame.copy()
+    found[80:, left : left + 70] = np.roll(frame, 90, axis=1)[80:, left : left + 70] // 2
+    return found
+
+
+@pytest.mark.parametrize("scene", ["tile-floor", "cloth", "moving-target", "night-street"])
+def test_what_moves_is_no_damage(scene: str) -> None:
+    assert not lines_of(scene, lambda k, frame: frame)
+    assert not lines_of(scene, lambda k, frame: with_person(frame, 120) if k == 2 else frame)
+    assert not lines_of(scene, lambda k, frame: with_person(frame, 120) if k > 2 else frame)
+    assert not lines_of(scene, lambda k, frame: with_person(frame, 50 * k))
+    assert not lines_of(scene, lambda k, frame: shifted(frame, 6, 4) if k == 2 else frame)

@@ -26,6 +26,12 @@ _FINDINGS = (
     Finding(code="delay_contradicts", value=1, remedies={"calibrate_delay": "v4l2:/dev/video0"}),
     Finding(code="frame_white", frames=(0,), value=0.98, details={"metered": 0.01}),
     Finding(code="frame_damaged", frames=(2,), value=0.5),
+    Finding(
+        code="lines_damaged",
+        frames=(8,),
+        value=0.6,
+        place=Place(top=48, left=0, bottom=120, right=160),
+    ),
     Finding(code="exposure_estimated", frames=(1, 0), value=1.021, low=1.019, high=1.023),
     Finding(code="not_estimated", details={"what": "the frames are black"}),
     Finding(code="setting_differs", value=0.02, details={"field": "base_s", "requested": 0.0213}),
