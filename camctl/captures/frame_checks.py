@@ -114,10 +114,12 @@ class FrameChecks:
         checks = [frame.ratio for frame in self._frames]
         # What is wrong with the exposure of a damaged frame, and of those beside it, is not known;
         # of a wrong exposure only the brighter lines may contradict the other frames.
-        damaged = sorted({*self._damaged(), *self._damaged_lines()})
-        alone = self._alone(damaged)
-        wrong = sorted({*damaged, *alone}) if damaged else suspects(checks) or alone
-        wrong = wrong or self._with_wrong_lines()
+        wrong = sorted({*self._damaged(), *self._damaged_lines()})
+        if wrong:  # those beside them may be damaged, too
+            while alone := self._alone(wrong):
+                wrong = sorted({*wrong, *alone})
+        else:
+            wrong = suspects(checks) or self._alone() or self._with_wrong_lines()
         return [k for k in wrong if self._frame(k).attempts == 1]
 
     @property
@@ -264,7 +266,7 @@ class FrameChecks:
             for position, (first, stop) in found.items()
         }
 
-    def _alone(self, damaged: Collection[int]) -> list[int]:
+    def _alone(self, damaged: Collection[int] = ()) -> list[int]:
         """Return the frames that contradict those beside them where these agree with each other.
 
         Whatever was in such a frame alone, another frame is better.
@@ -276,12 +278,16 @@ class FrameChecks:
         if len(kept) < 3 or not self._shows_lines:
             return []
         limits, exposures, found = self._limits(), self._exposures, []
+        last = len(kept) - 3  # where three frames begin
         for number, place in enumerate(kept):
-            first = min(max(number - 1, 0), len(kept) - 3)
-            one, other = (k for k in kept[first : first + 3] if k != place)
-            some = (limits[one], limits[place], limits[other])
-            if is_wrong_alone(some, (exposures[one], exposures[place], exposures[other])):
-                found.append(place)
+            # One beside a damaged frame may be damaged, too, and hide this one: any three tell.
+            firsts = range(max(number - 2, 0), min(number, last) + 1)
+            for first in firsts if damaged else [min(max(number - 1, 0), last)]:
+                one, other = (k for k in kept[first : first + 3] if k != place)
+                some = (limits[one], limits[place], limits[other])
+                if is_wrong_alone(some, (exposures[one], exposures[place], exposures[other])):
+                    found.append(place)
+                    break
         return found
 
     def _with_wrong_lines(self) -> list[int]:

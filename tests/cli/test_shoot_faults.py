@@ -79,7 +79,11 @@ def test_lines_that_are_damaged_twice_make_a_capture_untrustworthy(run: Run, kin
 
 @pytest.mark.parametrize(
     ("faults", "again"),
-    [("truncate@0,shift@1", [1, 2]), ("truncate@2,truncate@3,truncate@4", [3, 4, 5])],
+    [
+        ("truncate@0,shift@1", [1, 2]),
+        ("truncate@0,shift@1,double@2", [1, 2, 3]),
+        ("truncate@2,truncate@3,truncate@4", [3, 4, 5]),
+    ],
 )
 def test_damaged_frames_do_not_hide_each_other(run: Run, faults: str, again: list[int]) -> None:
     ran = run("shoot", "-O", "size=160x120", "-O", f"faults={faults}", "--json")
