@@ -116,7 +116,8 @@ def _lines_damaged(finding: Finding) -> str:
     return (
         f"lines {finding.place.top} to {finding.place.bottom - 1} of frame {finding.frames[0] + 1} "
         "contradict most other frames from one side to the other: lines were lost or shifted on "
-        "their way from the camera, and the light is wrong there (mask bit 4)"
+        "their way from the camera, or a thing as wide as the picture was in this frame alone; "
+        "the light is wrong there (mask bit 4)"
     )
 
 
