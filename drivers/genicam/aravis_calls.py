@@ -41,6 +41,7 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_get_device_protocol": (c_char_p, (c_uint,)),
     "arv_open_device": (pointer, (c_char_p,)),
     "arv_gv_device_is_controller": (c_int, (pointer,)),
+    "arv_gv_device_set_stream_options": (None, (pointer, c_int)),
     "arv_gc_float_get_type": (c_size_t, ()),
     "arv_gc_integer_get_type": (c_size_t, ()),
     "arv_gc_enumeration_get_type": (c_size_t, ()),
