@@ -342,6 +342,6 @@ class AravisDevice:
 
 
 def _room_of_socket() -> int:
-    """Return how many bytes of data a UDP socket holds: Linux keeps half for what is beside them."""
+    """Return how many bytes of data a UDP socket holds: half of it is for Linux itself."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
         return one.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
