@@ -25,7 +25,7 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="apt-get install chromium chromium-driver"),
 ]
 SIZES = ((390, 844), (844, 390), (1280, 800))
-WAIT_MS = 30_000
+WAIT_MS = 90_000
 LEAST_CONTRAST = 4.5  # WCAG 2.2, criterion 1.4.3, level AA
 
 
