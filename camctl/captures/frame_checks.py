@@ -168,9 +168,10 @@ class FrameChecks:
             self._delay_of,
             exposures_exact=self._controls.exposures_exact,
         )
+        damaged = self._damaged()
         reasons += [
             Finding(code="frame_damaged", frames=(position,), value=share)
-            for position, share in self._damaged().items()
+            for position, share in damaged.items()
         ]
         reasons += [
             Finding(
@@ -180,7 +181,7 @@ class FrameChecks:
                 place=place,
             )
             for position, place in self._damaged_lines().items()
-            if position not in self._damaged()
+            if position not in damaged
         ]
         self._capture.distrust(reasons)
         self._capture.findings += [*others, *self._delay_settled()]

@@ -91,6 +91,13 @@ def _bin(tables: Tables, light: np.float32) -> int:
 
 
 @_compiled
+def _bin_of_cell(cells: Cells, tables: Tables, cell: int) -> int:
+    light = cells.light
+    mean = ((light[0, cell] + light[1, cell]) + light[2, cell]) + light[3, cell]
+    return _bin(tables, mean * _QUARTER)
+
+
+@_compiled
 def _above_zero(
     tables: Tables, mean: np.float32, weights: np.float32
 ) -> tuple[np.float32, np.float32]:
@@ -265,8 +272,7 @@ def _join_alike(
     """
     cell, _, last = place
     light, reach = cells.light, tables.ends[4]
-    mean = ((light[0, cell] + light[1, cell]) + light[2, cell]) + light[3, cell]
-    of_light = _bin(tables, mean * _QUARTER)
+    of_light = _bin_of_cell(cells, tables, cell)
     weights, own, shared, count = _weigh(cells, tables, place, of_light, weighed)
     if not weights > _ZERO:
         return False
@@ -304,9 +310,7 @@ def _join_evenly(
 ) -> bool:
     """Do the same where samples may be saturated, with a weight of each."""
     cell, _, last = place
-    light = cells.light
-    mean = ((light[0, cell] + light[1, cell]) + light[2, cell]) + light[3, cell]
-    of_light, which = _bin(tables, mean * _QUARTER), 0
+    of_light, which = _bin_of_cell(cells, tables, cell), 0
     for k in range(4):
         if _look(cells, tables, (cell, k, last), shown) > _ZERO:
             return False
