@@ -208,9 +208,9 @@ def _without(
 ) -> NDArray[np.float32]:
     """Return a measured variance without that of noise, above 0.
 
-    It has the error with which so many degrees of freedom show the noise.  Where what is left is 0,
-    half of a normal error is above 0, with the mean sqrt(2 / pi), and no error is left where it is
-    much.
+    Its error is that of a variance of noise with so many degrees of freedom.  Where what is left is
+    0, half of a normal error is above 0, with the mean sqrt(2 / pi), and no error is left where it
+    is much.
     """
     rest = variance - noise
     square = np.square(rest)

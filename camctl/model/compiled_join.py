@@ -94,7 +94,8 @@ def _bin(tables: Tables, light: np.float32) -> int:
 def _bin_of_cell(cells: Cells, tables: Tables, cell: int) -> int:
     light = cells.light
     mean = ((light[0, cell] + light[1, cell]) + light[2, cell]) + light[3, cell]
-    return _bin(tables, mean * _QUARTER)
+    of_light: int = _bin(tables, mean * _QUARTER)
+    return of_light
 
 
 @_compiled
