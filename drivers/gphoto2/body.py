@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -108,6 +110,13 @@ class Body:
         """Whether the camera is set to save raw files."""
         words = " ".join(self._text(name).lower() for name in _QUALITIES)
         return any(word in words for word in _RAW_WORDS)
+
+    def battery_percent(self) -> int | None:
+        """Return the charge of the battery, the last one known if it is silent; None: not stated."""
+        with suppress(CameraError):
+            self._widgets = self._read()
+        found = re.fullmatch(r"(\d+)\s*%", self._text("batterylevel"))
+        return int(found[1]) if found else None
 
     def apply(self, setting: ExposureSetting) -> ExposureSetting:
         """Set the dials; return the setting as the camera has it then.

@@ -19,8 +19,13 @@ from camctl.drivers.common.known_format import (
 )
 from camctl.drivers.common.still_camera import TEST_PICTURE_S, StillCamera, StillOptions
 from camctl.drivers.gphoto2.body import Body
-from camctl.drivers.gphoto2.process import CameraProcess, FullError
-from camctl.errors import CameraError, CameraProtocolError
+from camctl.drivers.gphoto2.process import CameraProcess, FullError, UnexplainedError
+from camctl.errors import (
+    CameraDisconnectedError,
+    CameraError,
+    CameraProtocolError,
+    CameraTimeoutError,
+)
 from camctl.interface.backends import LowerCase
 from camctl.interface.camera import CameraInfo, Frame, OriginalFile
 from camctl.interface.clock import Clock, RealClock
@@ -28,9 +33,11 @@ from camctl.interface.controls import Control, ExposureSetting
 from camctl.stills.decoding import read_still
 
 DRIVER = "gphoto2"
-#: How long a picture may take beyond twice its exposure time, s: noise reduction takes the
-#: exposure time again, and libgphoto2 itself waits for 1,000 s.
-_CAPTURE_S = 1030.0
+#: How long a picture may take beyond twice its exposure time, s, since noise reduction takes the
+#: exposure time again; and likewise one of a capture that was cancelled.
+_CAPTURE_S, _CANCELLED_S = 100.0, 5.0
+#: Below this charge a camera that takes no picture probably lacks power, per cent.
+_LOW_BATTERY_PERCENT = 5
 #: How long a busy camera is asked again to take or to send a picture, s.
 _BUSY_S = 30.0
 #: Quiet time after which a camera has reported all files of an exposure, ms.
@@ -132,7 +139,7 @@ class Gphoto2Camera(StillCamera):
         """Take a picture; return its file of that format."""
         self._process.ask("added", timeout_ms=0)  # files of an exposure that was cancelled
         released_s = self._clock.now()
-        first = self._capture(2 * setting.time_s + _CAPTURE_S)
+        first = self._capture(2 * setting.time_s)
         ended_s = self._clock.now()
         files = [tuple(first)]
         for wait_ms in (0, _QUIET_MS, _LAST_CHANCE_MS):
@@ -152,14 +159,31 @@ class Gphoto2Camera(StillCamera):
         others = tuple(name for name in names if name != chosen[1])
         return _Picture(chosen[0], chosen[1], others, released_s, ended_s)
 
-    def _capture(self, silence_s: float) -> list[str]:
+    def _capture(self, longest_s: float) -> list[str]:
         """Take a picture; where there is no room for it, delete those that were fetched."""
         try:
-            found = self._process.ask("capture", silence_s=silence_s, busy_s=_BUSY_S)
+            return self._release(longest_s)
         except FullError:
             if not self._delete_fetched():
                 raise
-            found = self._process.ask("capture", silence_s=silence_s, busy_s=_BUSY_S)
+            return self._release(longest_s)
+        except (UnexplainedError, CameraTimeoutError, CameraDisconnectedError) as error:
+            charge = self._body.battery_percent()
+            if charge is None or charge > _LOW_BATTERY_PERCENT:
+                raise
+            raise type(error)(
+                f"{error.what}: its battery has {charge} % of its charge",
+                hint="charge it or use a mains adapter",
+            ) from error
+
+    def _release(self, longest_s: float) -> list[str]:
+        """Take a picture, which lasts so long at most if all is well; return its first file."""
+        found = self._process.ask(
+            "capture",
+            silence_s=longest_s + _CAPTURE_S,
+            cancelled_s=longest_s + _CANCELLED_S,
+            busy_s=_BUSY_S,
+        )
         return [str(each) for each in found]
 
     def _chosen(

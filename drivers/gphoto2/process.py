@@ -106,6 +106,10 @@ _MEANINGS: Mapping[int, _Meaning] = {
 }
 
 
+class UnexplainedError(CameraError):
+    """libgphoto2 gives no reason for an error."""
+
+
 class LibraryError(Exception):
     """An error of libgphoto2: its number and its text."""
 
@@ -147,8 +151,8 @@ class CameraProcess:
             start_new_session=True,  # Control-C is the controller's to handle
         )
         self._rest = b""
-        #: How long the answer may take that a cancelled capture has not waited for, s.
-        self._owed_s: float | None = None
+        #: Until when the answer may come that a cancelled capture has not waited for.
+        self._owed_until_s: float | None = None
 
     @property
     def process_id(self) -> int:
@@ -175,13 +179,20 @@ class CameraProcess:
         self.close()
 
     def ask(
-        self, do: str, *, silence_s: float = SILENCE_S, busy_s: float = 0.0, **arguments: Any
+        self,
+        do: str,
+        *,
+        silence_s: float = SILENCE_S,
+        cancelled_s: float = SILENCE_S,
+        busy_s: float = 0.0,
+        **arguments: Any,
     ) -> Any:
         """Return the result of a request; a file as bytes.
 
         Args:
             do: name of a method of `camctl.drivers.gphoto2.worker.Worker`
             silence_s: the process is ended after so long without an answer
+            cancelled_s: likewise, if the capture was cancelled meanwhile
             busy_s: how long a busy camera is asked again, with growing pauses
             arguments: of the method
 
@@ -191,7 +202,7 @@ class CameraProcess:
         began_s, pause_s = self._clock.now(), _FIRST_PAUSE_S
         while True:
             try:
-                return self._ask_once(do, arguments, silence_s)
+                return self._ask_once(do, arguments, silence_s, cancelled_s)
             except LibraryError as error:
                 waited_s = self._clock.now() - began_s
                 if error.code != _BUSY or waited_s >= busy_s:
@@ -199,10 +210,12 @@ class CameraProcess:
             self._clock.sleep_until(self._clock.now() + pause_s)
             pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
 
-    def _ask_once(self, do: str, arguments: dict[str, Any], silence_s: float) -> Any:
-        if self._owed_s is not None:
+    def _ask_once(
+        self, do: str, arguments: dict[str, Any], silence_s: float, cancelled_s: float
+    ) -> Any:
+        if self._owed_until_s is not None:
             with cancelled_by(None):
-                self._answer(self._owed_s)
+                self._answer(max(0.0, self._owed_until_s - self._clock.now()))
         line = json.dumps({"do": do, **arguments}).encode() + b"\n"
         try:
             assert self._process.stdin is not None
@@ -210,7 +223,7 @@ class CameraProcess:
             self._process.stdin.flush()
         except (OSError, ValueError):
             raise self._ended() from None
-        self._owed_s = silence_s
+        self._owed_until_s = self._clock.now() + cancelled_s
         answer, data = self._answer(silence_s)
         if "code" in answer:
             raise LibraryError(answer["code"], answer["text"])
@@ -225,7 +238,7 @@ class CameraProcess:
         answer = json.loads(self._line(silence_s))
         with cancelled_by(None):  # a file that has begun is read to its end
             data = self._bytes(answer.get("bytes", 0), silence_s)
-        self._owed_s = None
+        self._owed_until_s = None
         return answer, data
 
     def _line(self, silence_s: float) -> bytes:
@@ -275,7 +288,7 @@ class CameraProcess:
         if do == "apply":
             general: _Meaning = CameraError, "does not accept a setting", _TO_SHOOTING
         else:
-            general = CameraError, f"failed to {do}", _LOOK
+            general = UnexplainedError, f"failed to {do}", _LOOK
         kind, what, hint = _MEANINGS.get(code) or next(reasons, general)
         users = self._users() if kind is CameraBusyError else ""
         by = f": {users}" if users else ""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ import numpy as np
 import pytest
 
 from camctl.captures.sequencer import capture
+from camctl.drivers.gphoto2 import camera as camera_module
 from camctl.drivers.gphoto2 import process
 from camctl.drivers.gphoto2.backend import Gphoto2Backend, Listed
 from camctl.drivers.gphoto2.body import Body
@@ -30,13 +32,14 @@ from camctl.errors import (
     CameraNotFoundError,
     CameraProtocolError,
     CameraTimeoutError,
+    InterruptedCaptureError,
     RefusedSettingError,
     UsageError,
 )
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.backends import is_local, list_cameras
 from camctl.interface.camera import CameraInfo
-from camctl.interface.clock import VirtualClock
+from camctl.interface.clock import VirtualClock, cancelled_by
 from camctl.interface.colour import BT709
 from camctl.interface.controls import Choices, ExposureSetting, Layout, ResponseOrigin
 
@@ -153,11 +156,11 @@ class TestVirtualCamera:
         asked: list[str] = []
         ask_once = CameraProcess._ask_once
 
-        def full(self: CameraProcess, do: str, arguments: Any, silence_s: float) -> Any:
+        def full(self: CameraProcess, do: str, arguments: Any, *waits_s: float) -> Any:
             asked.append(do)
             if do == "capture" and "delete" not in asked:
                 raise LibraryError(-115, "Not enough free space")
-            return ask_once(self, do, arguments, silence_s)
+            return ask_once(self, do, arguments, *waits_s)
 
         monkeypatch.setattr(CameraProcess, "_ask_once", full)
         assert len(list(camera.shoot(settings(0.1)))) == 1
@@ -198,6 +201,19 @@ class TestVirtualCamera:
         os.kill(camera._process.process_id, signal.SIGSTOP)
         with pytest.raises(CameraTimeoutError, match="does not answer for 1 s"):
             camera._process.ask("widgets", silence_s=1.0)
+
+    def test_a_cancelled_picture_that_never_comes_does_not_keep_the_camera_open(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(camera_module, "_CANCELLED_S", 0.5)
+        camera = Gphoto2Camera(PORT).open()
+        (setting,) = settings(0.01)
+        os.kill(camera._process.process_id, signal.SIGSTOP)
+        with pytest.raises(InterruptedCaptureError), cancelled_by(lambda: True):
+            camera._release(setting.time_s)
+        began_s = time.monotonic()
+        camera.close()
+        assert time.monotonic() - began_s < 2
 
     def test_a_closed_camera_leaves_no_process(self, camera: Gphoto2Camera) -> None:
         number = camera._process.process_id
@@ -376,7 +392,7 @@ class TestBusy:
     def busy(self, monkeypatch: pytest.MonkeyPatch, count: int) -> list[str]:
         asked: list[str] = []
 
-        def ask_once(self: CameraProcess, do: str, arguments: Any, silence_s: float) -> str:
+        def ask_once(self: CameraProcess, do: str, arguments: Any, *waits_s: float) -> str:
             asked.append(do)
             if len(asked) <= count:
                 raise LibraryError(-110, "I/O in progress")

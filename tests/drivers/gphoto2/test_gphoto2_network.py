@@ -103,3 +103,16 @@ def test_a_full_card(vendor: str) -> None:
             FullError, match=r"no memory left .*delete pictures, or change its card"
         ):
             list(camera.shoot(settings))
+
+
+@pytest.mark.parametrize(
+    "vendor", ["nikon", *(pytest.param(each, marks=pytest.mark.slow) for each in ("canon", "sony"))]
+)
+def test_an_empty_battery_is_the_reason_where_none_is_given(vendor: str) -> None:
+    with virtual_camera(vendor) as (device, address):
+        device.do("battery_low")  # before opening: libgphoto2 keeps for 2 s what it has read
+        with opened(address) as camera, pytest.raises(CameraError) as error:
+            camera.controls  # noqa: B018  # a picture is taken to learn the format
+    assert "failed to capture" in error.value.what
+    assert error.value.what.endswith("its battery has 3 % of its charge")
+    assert error.value.hint == "charge it or use a mains adapter"
