@@ -112,7 +112,7 @@ class Body:
         return any(word in words for word in _RAW_WORDS)
 
     def battery_percent(self) -> int | None:
-        """Return the charge of the battery, the last one known if it is silent; None: not stated."""
+        """Return the charge of the battery; of a silent camera the last one known; None: none."""
         with suppress(CameraError):
             self._widgets = self._read()
         found = re.fullmatch(r"(\d+)\s*%", self._text("batterylevel"))
