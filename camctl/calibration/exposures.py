@@ -17,11 +17,11 @@ from camctl.calibration.limits import DIM
 from camctl.calibration.refusals import too_bright, too_dark
 from camctl.errors import CaptureError
 from camctl.evidence.patches import Patches, sample_patches
-from camctl.evidence.quantiles import Z_95, student
 from camctl.evidence.ratios import RatioEstimates, comparable_frames, estimate_ratios
 from camctl.findings import Finding
 from camctl.interface.camera import Camera
 from camctl.interface.controls import Choices, Control, ExposureControls, ExposureSetting, Steps
+from camctl.model.quantiles import Z_95, student
 from camctl.model.response.camera import CameraResponse, FloatArray
 from camctl.model.sensor import SensorModel
 from camctl.profiles.exposures import Correction, ExposureRecord

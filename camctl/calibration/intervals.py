@@ -8,9 +8,9 @@ from statistics import NormalDist
 
 import numpy as np
 
-from camctl.evidence.quantiles import Z_95, student
 from camctl.evidence.ratio_check import SIGNIFICANCE
 from camctl.evidence.ratio_fit import BLOCKS
+from camctl.model.quantiles import Z_95, student
 from camctl.model.response.camera import FloatArray
 from camctl.profiles.noise import Figure
 

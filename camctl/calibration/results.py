@@ -14,9 +14,9 @@ from camctl.calibration import emva
 from camctl.calibration.plots import draw_exposures, draw_response, draw_transfer, panel
 from camctl.calibration.single_steps import StepResult
 from camctl.errors import UsageError
-from camctl.evidence.quantiles import Z_95
 from camctl.findings import Finding
 from camctl.interface.camera import CameraInfo
+from camctl.model.quantiles import Z_95
 from camctl.profiles.colour import ColourRecord
 from camctl.profiles.exposures import ExposureRecord
 from camctl.profiles.noise import Figure, NoiseRecord

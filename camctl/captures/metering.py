@@ -137,7 +137,7 @@ class MeteringFrames:
             if before is not None and is_checked and self._stays_at(before, frame):
                 reference, frame = self._shoot(before.requested), self._shoot(setting)
                 if stays_s := self._stays_at(reference, frame):
-                    raise self._not_following(reference.applied, frame.applied, stays_s)
+                    raise self._not_following(reference, frame, stays_s)
             if self._reference is None or self._factor(self._reference, frame) >= _COMPARED_FACTOR:
                 self._reference = frame
             self.last, self._frame = setting, frame
@@ -173,18 +173,23 @@ class MeteringFrames:
         with closing(shoot_when_ready(self.camera, [setting])) as frames:
             return next(frames)
 
-    def _not_following(
-        self, before: ExposureSetting, after: ExposureSetting, stays_s: float
-    ) -> CaptureError:
-        shown = [time_text(time_s) for time_s in (before.time_s, after.time_s, stays_s)]
-        end = "no longer" if after.exposure > before.exposure else "no shorter"
+    def _not_following(self, before: Frame, after: Frame, stays_s: float) -> CaptureError:
+        times = (before.applied.time_s, after.applied.time_s, stays_s)
+        shown = [time_text(time_s) for time_s in times]
+        end = "no longer" if after.applied.exposure > before.applied.exposure else "no shorter"
+        brightest = int(after.pixels.max())
+        full = (
+            f"if its samples saturate at {brightest} already, that is its white level; "
+            if brightest < after.white
+            else ""
+        )
         has_delay, name = self.camera.controls.delay_frames is not None, self.camera.info.id
         again = "measure its control delay again, or " if has_delay else ""
         return CaptureError(
             f"the camera does not follow its exposure: {shown[0]} and {shown[1]} give nearly the "
             f"same brightness, as if it were {end} than {shown[2]}",
-            hint=f"{again}turn its automatic exposure off; if it has none, give exposures that it "
-            "can make",
+            hint=f"{again}turn its automatic exposure off; {full}if it has none, give exposures "
+            "that it can make",
             remedies={
                 **({"calibrate_delay": name} if has_delay else {}),
                 "base_s": None,

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.patch_errors import MOST_BINS
-from camctl.evidence.quantiles import NORMAL_MAD, student
 from camctl.evidence.ratio_check import significant_sigmas
+from camctl.model.quantiles import NORMAL_MAD, student
 from camctl.model.sensor import JPEG_ERROR
 from camctl.system.picture_operations import level_counts, looked_up, required_opencv
 

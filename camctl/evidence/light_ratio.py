@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from camctl.evidence.patch_errors import MOST_OFFSET, PatchErrors, weighted_median
 from camctl.evidence.patches import Patches, sample_patches
-from camctl.evidence.quantiles import NORMAL_MAD
 from camctl.evidence.ratio_check import (
     LAMP_DEPTH,
     LEAST_COMPARED,
@@ -31,6 +30,7 @@ from camctl.evidence.ratio_check import (
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import Layout
 from camctl.model.noise import FrameNoise
+from camctl.model.quantiles import NORMAL_MAD
 from camctl.model.response.camera import CameraResponse
 from camctl.model.sensor import (
     BLACK_ERROR_LEVELS,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.patches import Patches
-from camctl.evidence.quantiles import NORMAL_MAD
+from camctl.model.quantiles import NORMAL_MAD
 from camctl.model.sensor import RESPONSE_ERROR, Prediction, SensorModel
 
 MEAN_RADIUS = 2

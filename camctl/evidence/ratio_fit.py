@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from camctl.evidence.quantiles import NORMAL_MAD
+from camctl.model.quantiles import NORMAL_MAD
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import BLACK_ERROR_LEVELS
 

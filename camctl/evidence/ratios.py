@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from camctl.errors import DataError
 from camctl.evidence.patches import Patches, shared_rounding
-from camctl.evidence.quantiles import Z_95, student
 from camctl.evidence.ratio_check import MOST
 from camctl.evidence.ratio_fit import BLOCKS, RatioFit
 from camctl.model.noise import FrameNoise
+from camctl.model.quantiles import Z_95, student
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import CLIPPING_SIGMAS, SensorModel
 

@@ -24,8 +24,8 @@ from camctl.evidence.chroma import OF_Y, brightness
 from camctl.evidence.lost_detail import LEVELS
 from camctl.evidence.patch_errors import LEAST_PATCHES
 from camctl.evidence.patches import Patches
-from camctl.evidence.quantiles import student
 from camctl.evidence.ratio_check import MOST, significant_sigmas
+from camctl.model.quantiles import student
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import ESTIMATED_RESPONSE_ERROR, JPEG_BLOCK_ERROR, JPEG_ERROR
 from camctl.system.picture_operations import dilated, level_counts, looked_up, reduced_by_area

@@ -82,8 +82,8 @@ def _levels_found(finding: Finding) -> str:
     if finding.details["level"] == "black":
         return f"the black level is {finding.value:g}, from the darkest pixels"
     return (
-        f"samples are clipped at {finding.value:g}, below the largest code "
-        f"{finding.details['largest']}"
+        f"the white level is {finding.value:g}, not {finding.details['largest']}: samples saturate "
+        "there"
     )
 
 

@@ -14,13 +14,13 @@ from camctl.captures.plan import plan_capture
 from camctl.errors import UsageError
 from camctl.evidence.noise import fit_noise
 from camctl.evidence.patches import Patches
-from camctl.evidence.quantiles import NORMAL_MAD
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.search.best import longest_base_s
 from camctl.exposure.search.settings import relative_exposures, search_choices
 from camctl.interface.controls import ExposureSetting
 from camctl.model.effective import MAX_EXPOSURES, EffectiveCamera
 from camctl.model.inverse import posterior_of
+from camctl.model.quantiles import NORMAL_MAD
 from camctl.model.sensor import SensorModel
 from camctl.photographs.camera import PhotographCamera
 from camctl.pictures.render import DARK, sum_mask

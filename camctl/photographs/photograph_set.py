@@ -169,6 +169,8 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
         for k, factor in doubted_labels(series).items():  # it must not bend the response
             series.exposures[k] *= factor
     series.find_limits()
+    if files.format.is_raw and source.white is None:
+        series.find_saturation()  # tables of cameras state it too high
     facts += series.findings
     series.findings.clear()
     selection, controls, response = _with_response(files, source, selection, notes, facts)

@@ -18,6 +18,7 @@ from camctl.evidence.lost_detail import LEVELS, Steps, file_steps
 from camctl.evidence.movement import Movement, find_movement
 from camctl.evidence.patches import Patches, sample_patches
 from camctl.evidence.residual import Pair, Side
+from camctl.evidence.saturation import level_finding, saturation_level
 from camctl.findings import Finding
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import Layout
@@ -93,7 +94,8 @@ def combine(
         black: brightness without light, DN: the mean of dark frames.  A response by its name has
             steps that are right in the mean then (`phase_of_black`); without black they truncate
         white: brightness from which samples are saturated, DN; None: black + the levels of
-            `response`, or the largest value of 8-bit frames
+            `response`, or the largest value of 8-bit frames.  Where the frames show that they
+            saturate below it, that brightness counts (finding `levels_found`)
         noise: of all frames, or one for each; a `NoiseModel` is taken at gain 1, with exposures in
             s.  None: it is measured in the frames
         layout: the Bayer pattern, such as "rggb": needed if a mosaic has three responses
@@ -125,6 +127,12 @@ def combine(
             samples = blocks
     known = None if noise is None else known_noise(noise, exposures, black)
     parts = parts_of(kind, responses)
+    findings: list[Finding] = []
+    found_top = _saturation_level(samples, relative, parts, black, top)
+    if found_top is not None:
+        findings.append(level_finding(found_top, top))
+        samples = [np.minimum(each, found_top) for each in samples]
+        parts = parts_of(kind, [each.up_to(found_top - black) for each in responses])
     light = frame_light(
         parts,
         relative,
@@ -137,11 +145,11 @@ def combine(
         few_chroma_samples=few_chroma_samples,
     )
     found = _combined(light, pictures, black)
-    findings: list[Finding] = []
     if method != "sum":
         # Developed colours have errors at edges, too: they are measured where noise is unknown.
         shown = known if known or kind is Layout.RGB or not light.noise else light.noise[0]
-        ratios, findings = _ratios(parts, relative, shown, samples, black)
+        ratios, differing = _ratios(parts, relative, shown, samples, black)
+        findings += differing
         for movement, view in _movements(pictures, parts, relative, shown, samples, black, ratios):
             marks = view(found.mask)
             marks |= movement.rows(0, len(marks)) * np.uint8(CONTRADICTING)
@@ -172,6 +180,18 @@ def _combined(light: FrameLight, pictures: list[NDArray[Any]], black: int) -> Co
     for _ in in_threads(fill, strips):
         pass
     return Combination(irradiance, sd, mask, total.total, light.noise, ())
+
+
+def _saturation_level(
+    samples: list[Patches], exposures: Sequence[float], parts: list[Part], black: int, white: int
+) -> int | None:
+    """Return the least brightness at which a colour saturates below white, if one does."""
+    of_parts = zip(*(np.split(each, len(parts)) for each in samples), strict=True)
+    levels = [
+        saturation_level(frames, exposures, part.response, black, white)
+        for part, frames in zip(parts, of_parts, strict=True)
+    ]
+    return min((each for each in levels if each is not None), default=None)
 
 
 def _ratios(

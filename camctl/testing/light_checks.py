@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camctl.evidence.quantiles import NORMAL_MAD
 from camctl.interface.camera import Camera, Frame
 from camctl.interface.controls import Control, ExposureControls, ExposureSetting
+from camctl.model.quantiles import NORMAL_MAD
 from camctl.testing.suite import QUANTISATION, UNUSABLE, CameraSuite
 
 # Neighbouring settings of a check over a whole range differ by about this factor.

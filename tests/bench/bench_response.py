@@ -30,8 +30,8 @@ from opencv_levels import levels_of, opencv_curves
 from camctl.calibration.response.estimate import ResponseEstimate, estimate_response
 from camctl.calibration.response.series import Series
 from camctl.errors import DataError
-from camctl.evidence.quantiles import Z_95
 from camctl.interface.controls import Layout
+from camctl.model.quantiles import Z_95
 from camctl.model.response.camera import FloatArray
 from camctl.model.response.measured import ResponseModel, read_response_model
 from camctl.profiles.response import ChannelResponse

@@ -18,8 +18,8 @@ import numpy as np
 from camctl.calibration.response.estimate import estimate_response
 from camctl.calibration.response.series import Series
 from camctl.errors import DataError
-from camctl.evidence.quantiles import Z_95
 from camctl.interface.controls import Layout
+from camctl.model.quantiles import Z_95
 from camctl.model.response.camera import FloatArray, srgb_to_linear
 from camctl.sim.scenes.drawings import DRAWINGS
 

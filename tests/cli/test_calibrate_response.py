@@ -85,7 +85,7 @@ def test_ten_bits_in_files_of_sixteen(run: Run) -> None:
     line = ("calibrate", "response", *paths, "--times", "1,4,16", "--json")
     found = run(*line)
     assert found.json["channels"][0]["white"] == 1023
-    assert "samples are clipped at 1023" in found.err
+    assert "the white level is 1023" in found.err
     stated = run(*line, "--white", "1023")
     assert stated.err == ""
     assert stated.json["channels"][0]["irradiance"] == found.json["channels"][0]["irradiance"]

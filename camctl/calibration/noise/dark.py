@@ -20,9 +20,9 @@ from camctl.calibration.limits import DIM, FEW
 from camctl.calibration.noise.pattern import HOT
 from camctl.calibration.refusals import check_size
 from camctl.errors import DataError
-from camctl.evidence.quantiles import NORMAL_MAD, Z_95, student
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureSetting
+from camctl.model.quantiles import NORMAL_MAD, Z_95, student
 from camctl.model.response.camera import FloatArray
 from camctl.profiles.noise import (
     MOST_HOT_PIXELS,

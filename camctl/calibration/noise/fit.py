@@ -19,7 +19,7 @@ from camctl.calibration.noise.curve import LEAST_VARIANCE, NoiseCurve, TransferC
 from camctl.calibration.noise.pairs import PairPatches
 from camctl.calibration.refusals import moved
 from camctl.errors import DataError
-from camctl.evidence.quantiles import Z_95
+from camctl.model.quantiles import Z_95
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import CLIPPING_SIGMAS
 

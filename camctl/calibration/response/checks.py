@@ -15,8 +15,8 @@ from camctl.calibration.response.fit import ChartSamples, ResponseFit
 from camctl.calibration.response.matches import Matches
 from camctl.calibration.response.series import Series
 from camctl.errors import DataError
-from camctl.evidence.quantiles import Z_95
 from camctl.findings import Finding
+from camctl.model.quantiles import Z_95
 from camctl.model.response.camera import FloatArray
 from camctl.profiles.response import ResponseRecord
 

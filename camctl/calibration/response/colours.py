@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from camctl.calibration.response.series import Neighbours, Series
 from camctl.evidence.patch_errors import median
-from camctl.evidence.quantiles import NORMAL_MAD
+from camctl.model.quantiles import NORMAL_MAD
 from camctl.model.response.camera import FloatArray
 
 #: Levels of a cell, of 256, fewest patches in one, and most of a pair of frames that are compared.

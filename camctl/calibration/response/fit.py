@@ -38,7 +38,7 @@ from camctl.calibration.response.matches import LEAST_PIXELS, NOISE_STEPS, Match
 from camctl.calibration.response.spline import COEFFICIENTS, Knots, ascending
 from camctl.errors import DataError
 from camctl.evidence.patch_errors import median
-from camctl.evidence.quantiles import NORMAL_MAD
+from camctl.model.quantiles import NORMAL_MAD
 from camctl.model.response.camera import FloatArray
 
 #: Size of a difference (in standard deviations of the prior) from which it counts as a bend.  A

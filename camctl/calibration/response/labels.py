@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from camctl.calibration.response.exponent import STEEP, expected_exponent
 from camctl.calibration.response.fit import ResponseFit
 from camctl.errors import DataError
-from camctl.evidence.quantiles import Z_95, student
 from camctl.findings import Finding
 from camctl.messages.calibration import contradiction_hint, exposures_contradict
+from camctl.model.quantiles import Z_95, student
 from camctl.model.response.camera import FloatArray
 
 #: Relative errors of the exposures from which there is a note, and from which there is no result:

@@ -18,8 +18,9 @@ from camctl.calibration.response.matches import INDEPENDENT, guess_exposures, ne
 from camctl.calibration.response.spill import SampleGrid, grid_counts
 from camctl.errors import UsageError
 from camctl.evidence.patches import Patches, sample_patches
+from camctl.evidence.saturation import saturation_level
 from camctl.evidence.unknown_response import moved_samples
-from camctl.findings import Finding
+from camctl.findings import Detail, Finding
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray, linear_response, phase_of_black
 from camctl.model.sensor import CLIPPING_SIGMAS, SensorModel
@@ -285,12 +286,18 @@ class Series:
             self._found("white", found)
             self.white = found
 
+    def find_saturation(self) -> None:
+        """Find the brightness at which frames of linear response saturate, if it is below white."""
+        levels = self.white - self.black
+        response = linear_response(self.bits, phase=self.phase, levels=levels)
+        found = saturation_level(self.patches, self.exposures, response, self.black, self.white)
+        if found is not None:
+            self._found("white", found)
+            self.white = found
+
     def _found(self, level: str, value: int) -> None:
-        self.findings.append(
-            Finding(
-                code="levels_found", value=value, details={"level": level, "largest": self.white}
-            )
-        )
+        details: dict[str, Detail] = {"level": level, "largest": self.white}
+        self.findings.append(Finding(code="levels_found", value=value, details=details))
 
     def guess_exposures(self) -> None:
         """Replace the exposures by guesses from the pixels, about as if the response were sRGB.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -67,6 +67,11 @@ class CameraResponse:
     def M(self) -> int:  # noqa: N802 - the letter used in the literature
         """Number of levels, which is white level minus black level."""
         return int(self.levels.size)
+
+    def up_to(self, levels: int) -> CameraResponse:
+        """Return the response of the camera where it saturates earlier; light keeps its unit."""
+        kept = None if self.deviation is None else self.deviation[:levels]
+        return replace(self, levels=self.levels[:levels], deviation=kept)
 
     @property
     def gaps(self) -> tuple[FloatArray, FloatArray]:
