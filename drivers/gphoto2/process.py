@@ -38,8 +38,6 @@ _RELEASE_IT = (
     "desktops mount cameras by themselves: unmount it there, or end gvfs-gphoto2-volume-monitor, "
     "and try again"
 )
-
-
 _LOOK = (
     "look at its display: mode dial at M and no playback or movie mode, lens on manual focus and "
     "without cap, card in, battery charged; then try again"
@@ -52,6 +50,20 @@ class FullError(CameraError):
 
 #: Error class, what happened, what to do.
 _Meaning: TypeAlias = tuple[type[CameraError], str, str]
+
+#: A camera that is not opened without a reason of libgphoto2; in the network it gives none for
+#: a wrong address, a camera that is not there, and one that refuses this computer.
+_CANNOT_OPEN: _Meaning = (
+    CameraError,
+    "cannot be opened",
+    "end other programs that use it; else switch the camera off and on again, and try again",
+)
+_CANNOT_REACH: _Meaning = (
+    CameraNotFoundError,
+    "is not to be reached in the network, or refuses this computer",
+    "check the address, switch its network remote control on, pair this computer in its menu, and "
+    "end other programs that use it",
+)
 
 
 #: Words in the reason that libgphoto2 gives for an error whose number says nothing: error class,
@@ -83,18 +95,19 @@ _REASONS: Mapping[str, _Meaning] = {
 }
 #: libgphoto2's error numbers (gphoto2-port-result.h, gphoto2-result.h): error class, what
 #: happened, what to do.
-_BUSY = -110
+_UNEXPLAINED, _BUSY = -1, -110
+_TRANSFER_FAILED, _SILENT = -7, -10
 _MEANINGS: Mapping[int, _Meaning] = {
     -3: (FullError, "has no memory left for a picture", "delete pictures, or change its card"),
     -5: (CameraNotFoundError, "has no such port", _LIST_CAMERAS),
-    -7: (CameraDisconnectedError, "failed a transfer", "plug it in again and resume"),
-    -10: (CameraTimeoutError, "does not answer", _AGAIN),
+    _TRANSFER_FAILED: (CameraDisconnectedError, "failed a transfer", "plug it in again and resume"),
+    _SILENT: (CameraTimeoutError, "does not answer", _AGAIN),
     -34: (CameraDisconnectedError, "failed a transfer", "plug it in again and resume"),
     -35: (CameraDisconnectedError, "failed a transfer", "plug it in again and resume"),
     -52: (CameraDisconnectedError, "is not connected", "plug it in, switch it on and try again"),
     -53: (CameraBusyError, "is in use by another program", _RELEASE_IT),
     -60: (CameraBusyError, "is locked by another program", _RELEASE_IT),
-    -105: (CameraNotFoundError, "is not known to libgphoto2", "choose another camera"),
+    -105: (CameraNotFoundError, "is not connected, or not known to libgphoto2", _LIST_CAMERAS),
     -108: (CameraProtocolError, "does not have the file that it made", "shoot it again"),
     _BUSY: (CameraBusyError, "is busy", "wait until it has stored its pictures, then resume"),
     -113: (
@@ -285,8 +298,13 @@ class CameraProcess:
         reasons = (
             meaning for word, meaning in _REASONS.items() if re.search(word, text, re.IGNORECASE)
         )
-        if do == "apply":
-            general: _Meaning = CameraError, "does not accept a setting", _TO_SHOOTING
+        if do == "open":
+            is_remote = ":ptpip:" in self.name
+            general = _CANNOT_REACH if is_remote else _CANNOT_OPEN
+            if is_remote and code in (_TRANSFER_FAILED, _SILENT):
+                code = _UNEXPLAINED
+        elif do == "apply":
+            general = CameraError, "does not accept a setting", _TO_SHOOTING
         else:
             general = UnexplainedError, f"failed to {do}", _LOOK
         kind, what, hint = _MEANINGS.get(code) or next(reasons, general)

@@ -12,7 +12,7 @@ from network_bench import camera_on_tcp
 
 import camctl
 from camctl.drivers.gphoto2.process import FullError
-from camctl.errors import CameraError
+from camctl.errors import CameraError, CameraNotFoundError
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureSetting
 from camctl.sim.devices.ptp.network import NetworkCamera as VirtualCamera
@@ -116,3 +116,18 @@ def test_an_empty_battery_is_the_reason_where_none_is_given(vendor: str) -> None
     assert "failed to capture" in error.value.what
     assert error.value.what.endswith("its battery has 3 % of its charge")
     assert error.value.hint == "charge it or use a mains adapter"
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:9", "nowhere.invalid"])
+def test_a_camera_that_is_not_there(host: str) -> None:
+    with pytest.raises(CameraNotFoundError, match=r"not to be reached in the network.*check the"):
+        opened(f"ptpip:{host}")
+
+
+def test_a_camera_that_another_program_uses() -> None:
+    with (
+        virtual_camera("nikon") as (_, address),
+        camctl.open_camera(address, format="raw"),
+        pytest.raises(CameraNotFoundError, match=r"refuses this computer.*end other programs"),
+    ):
+        opened(address)
