@@ -113,22 +113,18 @@ class LightSpread:
         if not (found.any() and source.any()):
             return cls(white, 0, False)
         connected = _connected_runs(found, source)
-        along = np.count_nonzero(connected) * every[0]
-        distance = (every[1], 1)
-        on_rows = _on_lines(limits, white, short.rows, long.rows, ranges, distance)
-        beside = np.count_nonzero(_connected_runs(*(each.T for each in on_rows))) * every[1]
-        streaks = along > _STREAKS * beside + _LEAST_STREAKS
-        if not streaks and pair.is_known:
+        along = int(np.count_nonzero(connected)) * every[0]
+        streaks = along > _LEAST_STREAKS and (
+            along > _STREAKS * _beside(limits, white, short, long, ranges) + _LEAST_STREAKS
             # Charge only adds light; things that move take it away elsewhere.
-            darker = _darker(limits, short.columns, long.columns)
-            lost = np.count_nonzero(_connected_runs(darker, source)) * every[0]
-            streaks = along > _LEAST_STREAKS and lost < LOST * along
+            or (pair.is_known and _lost(limits, short, long, source) < LOST * along)
+        )
         if streaks and _has_one_factor(pair, connected, short.columns, long.columns):
-            streaks = np.False_
+            streaks = False
         if streaks:
             found &= ~connected
         least = _SPREADS if pair.is_known else _SPREADS_UNKNOWN
-        return cls(white, _reach(found, source, least), bool(streaks))
+        return cls(white, _reach(found, source, least), streaks)
 
     def separated(
         self,
@@ -244,6 +240,18 @@ def _on_lines(
     """Return which pixels contradict in any colour, and which are saturated and do not."""
     found = limits.outside(short, long, ranges, every=every)
     return _any_colour(found), _any_colour((long >= white) & ~found)
+
+
+def _beside(limits: Limits, white: int, short: Lines, long: Lines, ranges: Ranges | None) -> int:
+    """Return how many contradicting pixels are connected to saturated ones along the rows."""
+    found = _on_lines(limits, white, short.rows, long.rows, ranges, (short.every[1], 1))
+    return int(np.count_nonzero(_connected_runs(*(each.T for each in found)))) * short.every[1]
+
+
+def _lost(limits: Limits, short: Lines, long: Lines, source: NDArray[np.bool_]) -> int:
+    """Return how many pixels connected to a source along the columns are darker than expected."""
+    darker = _darker(limits, short.columns, long.columns)
+    return int(np.count_nonzero(_connected_runs(darker, source))) * short.every[0]
 
 
 def _has_one_factor(pair: Pair, marks: NDArray[np.bool_], short: Pixels, long: Pixels) -> bool:
