@@ -169,9 +169,16 @@ def channels_together(planes: Sequence[NDArray[Any]]) -> NDArray[Any]:
 
 
 def interleave(planes: Sequence[NDArray[Any]], out: NDArray[Any]) -> None:
-    """Write values, (S,) each, into (S, planes); all of one type of `_as_integers`."""
+    """Write values, (S,) each, into (S, planes); all of one type of `_as_integers`.
+
+    Eight bytes are two words of four, which OpenCV merges in half the time.
+    """
     if (cv2 := opencv()) is not None:
-        cv2.merge([each[np.newaxis] for each in planes], out[np.newaxis])
+        parts = [each[np.newaxis] for each in planes]
+        if len(parts) == 8 and out.dtype == np.uint8:
+            words = (cv2.merge(some).view(np.int32)[..., 0] for some in (parts[:4], parts[4:]))
+            parts, out = list(words), out.view(np.int32)
+        cv2.merge(parts, out[np.newaxis])
         return
     for place, each in enumerate(planes):
         out[:, place] = each
