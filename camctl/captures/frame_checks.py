@@ -25,7 +25,7 @@ from camctl.evidence.raster_damage import (
 )
 from camctl.evidence.ratio_check import RatioCheck
 from camctl.evidence.residual import Pair, Side
-from camctl.evidence.saturation import level_finding, saturation_level
+from camctl.evidence.shown_levels import other_level
 from camctl.findings import Finding, Place
 from camctl.interface.camera import Camera, Pixels
 from camctl.interface.controls import ExposureControls, Layout, ResponseOrigin
@@ -169,10 +169,11 @@ class FrameChecks:
             self._delay_of,
             exposures_exact=self._controls.exposures_exact,
         )
+        relative = [each.exposure for each in chosen]
         if any(check and check.contradicting for check in checks) and (
-            found := self._level(chosen)
+            found := other_level(self.samples, relative, self._controls)
         ):
-            reasons, others = [found], []  # what saturates early seems to have a shorter exposure
+            reasons, others = [found], []  # with a wrong level, exposures seem to be wrong
         damaged = self._damaged()
         reasons += [
             Finding(code="frame_damaged", frames=(position,), value=share)
@@ -191,17 +192,6 @@ class FrameChecks:
         self._capture.distrust(reasons)
         self._capture.findings += [*others, *self._delay_settled()]
         return chosen
-
-    def _level(self, exposures: Sequence[ExposureRatio]) -> Finding | None:
-        """Return that the frames saturate below the white level, if they do."""
-        level = saturation_level(
-            self.samples,
-            [each.exposure for each in exposures],
-            self._controls.levels,
-            self._controls.black,
-            self._controls.white,
-        )
-        return None if level is None else level_finding(level, self._controls.white)
 
     def _delay_settled(self) -> list[Finding]:
         """Return that the control delay was wrong, where the camera has settled since."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from camctl.errors import CaptureError, UsageError
 from camctl.evidence.light_ratio import NeighbourCheck
 from camctl.evidence.ratio_check import MOST
+from camctl.evidence.shown_levels import other_level
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.light import DARK_SHARE, Light, Metering
 from camctl.exposure.search.settings import BASE_SLACK_ON_LIST_STOPS
@@ -24,6 +25,7 @@ from camctl.interface.camera import (
     when_ready,
 )
 from camctl.interface.controls import ExposureControls, ExposureSetting
+from camctl.messages.plain import sentence
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import FEWEST_LEVELS
 from camctl.system.number_text import time_text
@@ -174,6 +176,12 @@ class MeteringFrames:
             return next(frames)
 
     def _not_following(self, before: Frame, after: Frame, stays_s: float) -> CaptureError:
+        controls, frames = self.camera.controls, (before, after)
+        patches = [self._check.sample(each.pixels).patches for each in frames]
+        exposures = [controls.exposure(each.applied) for each in frames]
+        if (level := other_level(patches, exposures, controls)) is not None:
+            hint = "give it" if level.remedies else "the camera's driver states it wrongly"
+            return CaptureError(sentence(level), hint=hint, remedies=level.remedies)
         times = (before.applied.time_s, after.applied.time_s, stays_s)
         shown = [time_text(time_s) for time_s in times]
         end = "no longer" if after.applied.exposure > before.applied.exposure else "no shorter"

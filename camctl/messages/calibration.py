@@ -79,12 +79,9 @@ def _left_out(finding: Finding) -> str:
 
 
 def _levels_found(finding: Finding) -> str:
-    if finding.details["level"] == "black":
-        return f"the black level is {finding.value:g}, from the darkest pixels"
-    return (
-        f"the white level is {finding.value:g}, not {finding.details['largest']}: samples saturate "
-        "there"
-    )
+    level = finding.details["level"]
+    why = "samples saturate there" if level == "white" else "the pixels show it"
+    return f"the {level} level is {finding.value:g}, not {finding.details['stated']}: {why}"
 
 
 def _chart_contradicts(finding: Finding) -> str:

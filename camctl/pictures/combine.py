@@ -18,11 +18,12 @@ from camctl.evidence.lost_detail import LEVELS, Steps, file_steps
 from camctl.evidence.movement import Movement, find_movement
 from camctl.evidence.patches import Patches, sample_patches
 from camctl.evidence.residual import Pair, Side
-from camctl.evidence.saturation import level_finding, saturation_level
+from camctl.evidence.shown_levels import black_level, level_finding, saturation_level
 from camctl.findings import Finding
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import Layout
 from camctl.model.noise import FrameNoise
+from camctl.model.response.camera import CameraResponse
 from camctl.model.sensor import SensorModel
 from camctl.pictures.accumulator import Accumulator
 from camctl.pictures.combine_arguments import (
@@ -92,7 +93,8 @@ def combine(
         response: of the camera: M = white - black levels; or "linear", "srgb", "rec709" or "power"
             (see `standard_response`); or three of R, G and B
         black: brightness without light, DN: the mean of dark frames.  A response by its name has
-            steps that are right in the mean then (`phase_of_black`); without black they truncate
+            steps that are right in the mean then (`phase_of_black`); without black they truncate.
+            Where frames of a linear camera show another one, that counts (finding `levels_found`)
         white: brightness from which samples are saturated, DN; None: black + the levels of
             `response`, or the largest value of 8-bit frames.  Where the frames show that they
             saturate below it, that brightness counts (finding `levels_found`)
@@ -125,14 +127,10 @@ def combine(
         steps = file_steps(blocks, 1)
         if steps is not None:  # no file of a mosaic has them
             samples = blocks
+    black, responses, findings = _levels(samples, relative, kind, responses, black, top)
+    samples = [np.minimum(each, black + responses[0].M) for each in samples]
     known = None if noise is None else known_noise(noise, exposures, black)
     parts = parts_of(kind, responses)
-    findings: list[Finding] = []
-    found_top = _saturation_level(samples, relative, parts, black, top)
-    if found_top is not None:
-        findings.append(level_finding(found_top, top))
-        samples = [np.minimum(each, found_top) for each in samples]
-        parts = parts_of(kind, [each.up_to(found_top - black) for each in responses])
     light = frame_light(
         parts,
         relative,
@@ -182,16 +180,31 @@ def _combined(light: FrameLight, pictures: list[NDArray[Any]], black: int) -> Co
     return Combination(irradiance, sd, mask, total.total, light.noise, ())
 
 
-def _saturation_level(
-    samples: list[Patches], exposures: Sequence[float], parts: list[Part], black: int, white: int
-) -> int | None:
-    """Return the least brightness at which a colour saturates below white, if one does."""
+def _levels(
+    samples: list[Patches],
+    exposures: Sequence[float],
+    layout: Layout,
+    responses: tuple[CameraResponse, ...],
+    black: int,
+    white: int,
+) -> tuple[int, tuple[CameraResponse, ...], list[Finding]]:
+    """Return the black level and the responses that the frames show, and what was not as stated."""
+    findings = []
+    shown = black_level(samples, exposures, responses[0], black, white)
+    if shown is not None:
+        findings.append(level_finding("black", shown, black))
+        black, responses = shown, channel_responses("linear", shown, white)
+    parts = parts_of(layout, responses)
     of_parts = zip(*(np.split(each, len(parts)) for each in samples), strict=True)
     levels = [
         saturation_level(frames, exposures, part.response, black, white)
         for part, frames in zip(parts, of_parts, strict=True)
     ]
-    return min((each for each in levels if each is not None), default=None)
+    top = min((each for each in levels if each is not None), default=None)
+    if top is not None:
+        findings.append(level_finding("white", top, white))
+        responses = tuple(each.up_to(top - black) for each in responses)
+    return black, responses, findings
 
 
 def _ratios(

@@ -18,9 +18,9 @@ from camctl.calibration.response.matches import INDEPENDENT, guess_exposures, ne
 from camctl.calibration.response.spill import SampleGrid, grid_counts
 from camctl.errors import UsageError
 from camctl.evidence.patches import Patches, sample_patches
-from camctl.evidence.saturation import saturation_level
+from camctl.evidence.shown_levels import level_finding, saturation_level
 from camctl.evidence.unknown_response import moved_samples
-from camctl.findings import Detail, Finding
+from camctl.findings import Finding
 from camctl.interface.controls import Layout
 from camctl.model.response.camera import FloatArray, linear_response, phase_of_black
 from camctl.model.sensor import CLIPPING_SIGMAS, SensorModel
@@ -278,12 +278,12 @@ class Series:
         if self.black == 0 and len(order) > 1:
             black = self._dark_level(order.tolist())
             if _LEAST_BLACK <= black / self.white <= _MOST_BLACK:
+                self.findings.append(level_finding("black", round(black), self.black))
                 self.black = round(black)
                 self.phase = phase_of_black(self.black)
-                self._found("black", self.black)
         found = self._clipped_level()
         if found is not None and self.black < found < self.white:
-            self._found("white", found)
+            self.findings.append(level_finding("white", found, self.white))
             self.white = found
 
     def find_saturation(self) -> None:
@@ -292,12 +292,8 @@ class Series:
         response = linear_response(self.bits, phase=self.phase, levels=levels)
         found = saturation_level(self.patches, self.exposures, response, self.black, self.white)
         if found is not None:
-            self._found("white", found)
+            self.findings.append(level_finding("white", found, self.white))
             self.white = found
-
-    def _found(self, level: str, value: int) -> None:
-        details: dict[str, Detail] = {"level": level, "largest": self.white}
-        self.findings.append(Finding(code="levels_found", value=value, details=details))
 
     def guess_exposures(self) -> None:
         """Replace the exposures by guesses from the pixels, about as if the response were sRGB.

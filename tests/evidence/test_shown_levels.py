@@ -1,4 +1,4 @@
-"""The brightness at which frames saturate: below white, and not where something else is wrong."""
+"""Black and white levels that frames show: where stated wrongly, and not where all is right."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from small_cameras import small_camera
 import camctl
 from camctl.captures.sequencer import capture
 from camctl.evidence.patches import sample_patches
-from camctl.evidence.saturation import saturation_level
+from camctl.evidence.shown_levels import black_level, saturation_level
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import Frame
-from camctl.model.response.camera import linear_response
+from camctl.model.response.camera import CameraResponse, linear_response
 from camctl.photographs.merge import merge
 from camctl.photographs.photograph_set import PhotographOptions
 from camctl.sim.camera import SimulatedCamera
@@ -51,6 +51,40 @@ def shoot(
         levels = electrons / GAIN + BLACK + rng.normal(0, 1.2, pixels.shape)
         frames.append(np.clip(np.rint(levels), 0, TOP).astype(np.uint16))
     return frames
+
+
+def black_of(
+    frames: list[NDArray[np.uint16]],
+    stated: int,
+    exposures: tuple[float, ...] = EXPOSURES,
+    response: CameraResponse | None = None,
+) -> int | None:
+    patches = [sample_patches([each], TOP) for each in frames]
+    known = response or linear_response(12, phase=0.5, levels=TOP - stated)
+    return black_level(patches, exposures, known, stated, TOP)
+
+
+@pytest.mark.parametrize("stated", [0, 40, 62, 100])
+def test_the_black_level_is_found_to_a_level(stated: int) -> None:
+    assert black_of(shoot(EXPOSURES), stated) == BLACK
+
+
+def test_what_else_may_be_wrong_is_no_black_level() -> None:
+    assert black_of(shoot(EXPOSURES), BLACK) is None
+    assert black_of(shoot((1.0, 8.0, 40.0)), BLACK) is None
+    assert black_of(shoot((1.0, 4.0, 64.0)), BLACK) is None
+    assert black_of(shoot((1.0, 1.0)), 0, (1.0, 1.0)) is None  # they have one ratio
+    curve = np.geomspace(1e-4, 1, TOP - BLACK)
+    assert black_of(shoot(EXPOSURES), 0, response=CameraResponse(curve, "curve")) is None
+
+
+def test_light_is_right_whatever_black_is_stated() -> None:
+    frames = shoot(EXPOSURES)
+    result = camctl.combine(frames, EXPOSURES, white=TOP)
+    assert [(each.code, each.value) for each in result.findings] == [("levels_found", BLACK)]
+    light = scene() / GAIN / (TOP - BLACK + 1)
+    z = ((result.irradiance - light) / result.sd)[result.mask == 0]
+    assert 0.95 < np.sqrt(np.mean(z**2)) < 1.05
 
 
 def found(frames: list[NDArray[np.uint16]], exposures: tuple[float, ...] = EXPOSURES) -> int | None:
@@ -129,3 +163,23 @@ def test_a_capture_says_where_the_camera_saturates(monkeypatch: pytest.MonkeyPat
     assert not report.trustworthy
     assert "levels_found" in [each.code for each in report.findings]
     assert "exposure_differs" not in [each.code for each in report.findings]
+
+
+def test_a_capture_says_which_black_level_the_frames_have(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = SimulatedCamera._frame
+
+    def lifted(self: SimulatedCamera, *args: Any, **options: Any) -> Frame:
+        frame = whole(self, *args, **options)
+        return replace(
+            frame, pixels=np.minimum(frame.pixels, np.uint16(frame.white - 50)) + np.uint16(50)
+        )
+
+    monkeypatch.setattr(SimulatedCamera, "_frame", lifted)
+    known = CaptureRequest("log", 1000.0, ratios=(1.0, 8.9, 88.0), base_s=2e-4)
+    with small_camera("machine-vision") as camera:
+        report = capture(camera, known)
+        black = camera.controls.black
+    assert not report.trustworthy
+    values = [each.value for each in report.findings if each.code == "levels_found"]
+    assert values == [black + 50]
+    assert "control delay" not in str(report.untrustworthy_because)
