@@ -29,13 +29,13 @@ error of a JPEG file."""
 
 #: Real loss over the one that the cells show, of what follows Y and of what does not: fitted to the
 #: errors of seven photographs, made smaller and kept as 4:2:0 (`tests/bench/bench_jpeg_loss.py`).
-_FOLLOWING, _OTHER = 1.65, 1.33
+FOLLOWING, OTHER = 1.65, 1.33
 #: G - Y as shares of R - Y and of B - Y.
-_GREEN: tuple[float, float] = tuple((-OF_Y[[0, 2]] / OF_Y[1]).tolist())
+GREEN: tuple[float, float] = tuple((-OF_Y[[0, 2]] / OF_Y[1]).tolist())
 #: Degrees of freedom of variances of 3 x 3 cells: of their means, and of what is within them.
-_OF_CELLS, _OF_DETAIL = 9 - 1, 9 * 3
+OF_CELLS, OF_DETAIL = 9 - 1, 9 * 3
 #: Variance of Y, levels squared, below which a cell shows no contrast: that of two roundings.
-_NO_CONTRAST = 1 / 6
+NO_CONTRAST = 1 / 6
 #: Share of the finest detail of green that R - G and B - G have at most where their samples are
 #: fewer: 0 to 0.2 in JPEG files of 4:2:0 and 4:2:2, 0.6 to 7 in other files of the same scenes.
 _MOST_DETAIL = 0.3
@@ -166,15 +166,15 @@ def _lost_chroma(
     Y = brightness(means)
     middle = mean(Y)
     contrast, within = mean(Y * Y) - np.square(middle), mean(detail)
-    spread = np.maximum(contrast, 0) + np.float32(_NO_CONTRAST)
+    spread = np.maximum(contrast, 0) + np.float32(NO_CONTRAST)
     real = spread
     if noise is not None:
-        real = np.maximum(contrast - noise[2], 0) + np.float32(_NO_CONTRAST)
-        within = _without(within, noise[3], _OF_DETAIL)
+        real = np.maximum(contrast - noise[2], 0) + np.float32(NO_CONTRAST)
+        within = _without(within, noise[3], OF_DETAIL)
         detail = np.maximum(detail - noise[3], 0)
     # Without the root, sharp pictures lose more than that and soft ones less.
-    share = np.sqrt(np.minimum(within / real, 1)) * np.float32(_OTHER)
-    following = np.float32(_FOLLOWING) * detail
+    share = np.sqrt(np.minimum(within / real, 1)) * np.float32(OTHER)
+    following = np.float32(FOLLOWING) * detail
     red, blue = means[0] - Y, means[2] - Y
     averages = mean(red), mean(blue)
     slopes = [
@@ -193,9 +193,9 @@ def _lost_chroma(
 
     of_red, of_blue = rest(0, 0), rest(1, 1)
     if noise is not None:
-        of_red = _without(of_red, noise[0], _OF_CELLS)
-        of_blue = _without(of_blue, noise[1], _OF_CELLS)
-    to_red, to_blue = _GREEN
+        of_red = _without(of_red, noise[0], OF_CELLS)
+        of_blue = _without(of_blue, noise[1], OF_CELLS)
+    to_red, to_blue = GREEN
     of_both = to_red**2 * of_red + to_blue**2 * of_blue + 2 * to_red * to_blue * rest(0, 1)
     slope, of_green = (
         np.asarray(each, np.float32) for each in (to_red * slopes[0] + to_blue * slopes[1], of_both)

@@ -260,6 +260,17 @@ def _weigh(
 
 
 @_compiled
+def _most_and_less(tables: Tables, at: int, weighed: Floats32, each: int) -> None:
+    """Set the sum that is too bright for a frame, and how much less of it is too dark, once."""
+    before, shares, reach = weighed[each, 4], weighed[each, 6], tables.ends[4]
+    known = np.sqrt(weighed[each, 5] + shares * shares) / before
+    spread = np.sqrt(known * known + weighed[each, 3])
+    weighed[each, 5] = (tables.full[at] + reach * known) * before
+    weighed[each, 6] = reach * spread * before
+    weighed[each, 3] = _ZERO
+
+
+@_compiled
 def _join_alike(
     cells: Cells, tables: Tables, found: CellsLight, place: Place, weighed: Floats32
 ) -> bool:
@@ -277,6 +288,8 @@ def _join_alike(
     weights, own, shared, count = _weigh(cells, tables, place, of_light, weighed)
     if not weights > _ZERO:
         return False
+    deviation, common = np.sqrt(own) / weights, shared / weights
+    near, expected = reach * np.sqrt(_ONE / weights), count - (own + shared * shared) / weights
     for k in range(4):
         above = squares = lost = _ZERO
         first = max(light[k, cell], _ZERO)
@@ -291,17 +304,24 @@ def _join_alike(
                 return False
             lost = max(lost, square * cells.of_chroma[at, cell] - noise)
             if above > weighed[each, 7]:
-                before, shares = weighed[each, 4], weighed[each, 6]
-                known = np.sqrt(weighed[each, 5] + shares * shares) / before
-                spread = np.sqrt(known * known + weighed[each, 3])
-                mean = above / before
-                if mean - reach * known > tables.full[at] or sample < mean - reach * spread:
+                if weighed[each, 3] > _ZERO:
+                    _most_and_less(tables, at, weighed, each)
+                most, less = weighed[each, 5], weighed[each, 6]
+                if above > most or sample * weighed[each, 4] < above - less:
                     return False
             weighted = weight * sample
             above += weighted
             squares += weighted * sample
-        sums = above, weights, own, shared, _ZERO, squares, count, 0
-        _write(cells, found, tables, (cell, k, last), sums, _ZERO)
+        mean = above / weights
+        if mean < near:
+            sums = above, weights, own, shared, _ZERO, squares, count, 0
+            _write(cells, found, tables, (cell, k, last), sums, _ZERO)
+            continue
+        found.light[k, cell], found.common[k, cell] = mean, common
+        if not np.isnan(cells.deviation[k, cell]):
+            found.deviation[k, cell] = deviation
+        found.scatter[0, k, cell] = max(squares - above * above / weights, _ZERO)
+        found.scatter[1, k, cell] = expected
     return True
 
 

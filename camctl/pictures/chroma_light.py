@@ -9,8 +9,9 @@ the other frames show it (`camctl.model.joined_frames`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from collections.abc import Iterator, Mapping, Sequence
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,11 +45,6 @@ _ROUNDS = 2
 #: picture take as long without them as loading does.
 _WORTH_LOADING = 1 << 18
 
-_Join: TypeAlias = Callable[
-    [LightTables, Cells, NDArray[np.bool_], NDArray[np.bool_], CellsLight], None
-]
-"""Sets the light of chosen cells; that of mixed ones sample by sample."""
-
 
 def share_chroma_errors(
     frames: Sequence[NDArray[Any]],
@@ -81,13 +77,17 @@ def share_chroma_errors(
     for place, frame in enumerate(frames):
         for channel, planes in enumerate(seen):
             planes[place] = _by_cells(frame[..., channel])
-    errors = np.stack(
-        [
-            chroma_variance(cells.reshape(-1, 4, *shape), noise)
-            for cells, noise in zip(seen.swapaxes(0, 1), noises, strict=True)
-        ],
-        axis=1,
-    )
+    compiled = _compiled(seen[0])
+    if compiled is not None:
+        errors = compiled.chroma_variance(seen.reshape(*seen.shape[:3], *shape), noises)
+    else:
+        errors = np.stack(
+            [
+                chroma_variance(cells.reshape(-1, 4, *shape), noise)
+                for cells, noise in zip(seen.swapaxes(0, 1), noises, strict=True)
+            ],
+            axis=1,
+        )
     of_chroma = errors.copy().reshape(len(tables), count, -1)
     for frame, detail, error in zip(frames, details, errors.swapaxes(0, 1), strict=bool(details)):
         error += _by_block(detail, frame)
@@ -99,7 +99,7 @@ def share_chroma_errors(
     for k, table in enumerate(tables):
         small, is_large = _small_errors(table, spreads[k], lights[k])
         cells = Cells(seen[k], hidden, spreads[k], of_chroma[k], lights[k], deviations[k], small)
-        lights[k], deviations[k] = _replaced(table, cells, beside | is_large, shape[1])
+        lights[k], deviations[k] = _replaced(compiled, table, cells, beside | is_large, shape[1])
     for whole, planes in ((irradiance, lights), (deviation, deviations)):
         for channel, each in enumerate(planes):
             _cells_of(whole[..., channel])[...] = each.reshape(2, 2, rows // 2, -1)
@@ -113,11 +113,16 @@ def _by_block(detail: LostDetail, frame: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def _replaced(
-    tables: LightTables, cells: Cells, chosen: NDArray[np.bool_], columns: int
+    compiled: ModuleType | None,
+    tables: LightTables,
+    cells: Cells,
+    chosen: NDArray[np.bool_],
+    columns: int,
 ) -> tuple[Floats32, Floats32]:
     """Return the light of one colour and its deviation, (4, C) each.
 
     Args:
+        compiled: what joins cells in compiled code; None: numpy does
         tables: of the colour
         cells: of it
         chosen: cells whose errors change weights, or that are beside what is saturated, (C,)
@@ -128,7 +133,7 @@ def _replaced(
     light, deviation = cells.light.copy(), cells.deviation.copy()
     common = np.tile(cells.common, (4, 1))
     found = CellsLight(light, deviation, common, np.zeros((2, *light.shape), np.float32))
-    (_compiled(cells) or _join_cells)(tables, cells, chosen, mixed, found)
+    (compiled.join_cells if compiled else _join_cells)(tables, cells, chosen, mixed, found)
     shape = chosen.size // columns, columns
     measured, expected = (
         box_means(each.reshape(shape), _AROUND).ravel() for each in found.scatter.sum(axis=1)
@@ -140,13 +145,13 @@ def _replaced(
     return light, deviation
 
 
-def _compiled(cells: Cells) -> _Join | None:
-    """Return what joins cells in compiled code; None where there is none, or that takes longer."""
-    if cells.values.size < _WORTH_LOADING or not has_compiler():
+def _compiled(values: NDArray[Any]) -> ModuleType | None:
+    """Return what does it in compiled code; None where there is none, or that takes longer."""
+    if values.size < _WORTH_LOADING or not has_compiler():
         return None
-    from camctl.model.compiled_join import join_cells
+    from camctl.pictures import compiled_chroma
 
-    return join_cells
+    return compiled_chroma
 
 
 def _join_cells(
