@@ -29,20 +29,24 @@ def left(*arguments: str | Path) -> dict[str, list[str]]:
     return cast("dict[str, list[str]]", json.loads(done.stdout))
 
 
-@pytest.mark.timeout(900)
-def test_hundreds_of_captures_leave_nothing_behind(tmp_path: Path) -> None:
-    """And a leak in each of 20 captures more is found, by the measure that is there for it."""
-    grew = left("captures", tmp_path, "--planted")
+def check(name: str, folder: Path) -> None:
+    """Nothing is left; a leak in each of 20 calls more is found, by the measure that is for it."""
+    grew = left(name, folder, "--planted")
     assert grew.pop("") == []
     found = {leak: {text.split(":")[0] for text in texts} for leak, texts in grew.items()}
     assert found["objects"] == found["array"] == found["memory of C"] == {"bytes in use"}
-    assert found["mapping"] == {"resident bytes"}
+    assert "resident bytes" in found["mapping"]
     assert "files" in found["file"]
     assert "threads" in found["thread"]
 
 
 @pytest.mark.timeout(900)
+def test_hundreds_of_captures_leave_nothing_behind(tmp_path: Path) -> None:
+    check("captures", tmp_path)
+
+
+@pytest.mark.timeout(900)
 def test_hundreds_of_plans_leave_nothing_behind(tmp_path: Path) -> None:
-    """One row for each second of 400, and that of all others: the settings, and their levels."""
-    assert left("plans", tmp_path) == {"": []}
-    assert len(list((tmp_path / "exposure").iterdir())) == 2 * (400 // 2 + 1)
+    """One row for each second of 300, and that of all others: the settings, and their levels."""
+    check("plans", tmp_path)
+    assert len(list((tmp_path / "exposure").iterdir())) == 2 * (300 // 2 + 1)
