@@ -7,7 +7,9 @@ contradictions, take longer than a frame.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from statistics import NormalDist
 
@@ -15,14 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.edges import local_ranges
-from camctl.evidence.light_ratio import NeighbourCheck
+from camctl.evidence.light_ratio import MOST_CHANGE, NeighbourCheck
 from camctl.evidence.marks import FALSE_ALARMS
 from camctl.evidence.patches import sample_patches
+from camctl.evidence.ratio_check import RatioCheck
 from camctl.evidence.residual import Limits, Pair, Side
+from camctl.findings import Finding
 from camctl.interface.camera import Frame
 from camctl.interface.controls import ExposureControls, ExposureSetting, Layout
 from camctl.model.noise import FrameNoise
 from camctl.model.sensor import SensorModel
+from camctl.system.number_text import time_text
 
 _Mask = NDArray[np.bool_]
 _Settings = tuple[ExposureSetting, ExposureSetting]
@@ -101,8 +106,61 @@ class Disagreement:
         return pair.limits(-NormalDist().inv_cdf(FALSE_ALARMS / 2 / pairs))
 
 
-def contradict(controls: ExposureControls, frames: Sequence[Frame]) -> bool:
-    """Return whether frames show other exposures than theirs, as a picture of them would say."""
+@dataclass(frozen=True)
+class OtherExposures:
+    """Frames of a round that show other exposures than theirs.
+
+    Attributes:
+        exposures: that they should have, in the order of the cycle
+        pairs: positions of two frames neighbouring in exposure whose ratio of light is known, and
+            what their checks found; some contradict their exposures
+    """
+
+    exposures: tuple[float, ...]
+    pairs: dict[tuple[int, int], RatioCheck]
+
+    @property
+    def come_late(self) -> bool:
+        """Whether they fit exposures that were set some frames before their own."""
+        count = len(self.exposures)
+        return any(
+            all(
+                self._off(check, self.exposures[b - late] / self.exposures[a - late]) == 0
+                for (a, b), check in self.pairs.items()
+            )
+            for late in range(1, count)
+        )
+
+    def are_those_of(self, other: OtherExposures) -> bool:
+        """Return whether other frames of the same plan have the same exposures."""
+        return all(
+            self._off(check, other.pairs[pair].measured or 0.0) == 0
+            for pair, check in self.pairs.items()
+            if pair in other.pairs
+        )
+
+    @staticmethod
+    def _off(check: RatioCheck, ratio: float) -> float:
+        """Return by how much more than noise a ratio differs from a measured one, as logarithm."""
+        assert check.measured is not None  # of all pairs
+        off = abs(math.log(max(ratio, 1e-9) / check.measured))
+        return max(0.0, off - 2 * math.log1p(check.tolerance))
+
+    def finding(self, settings: Sequence[ExposureSetting]) -> Finding:
+        """Return the largest difference; `settings` are those of the plan."""
+        pair = max(self.pairs, key=lambda pair: self.pairs[pair].factor)
+        check = self.pairs[pair]
+        before, name = (f"the frame of {time_text(settings[k].time_s)}" for k in pair)
+        return Finding(
+            code="exposure_differs",
+            frames=pair,
+            value=(check.measured or 0.0) / check.expected,
+            details={"expected": check.expected, "certain": True, "name": name, "before": before},
+        )
+
+
+def other_exposures(controls: ExposureControls, frames: Sequence[Frame]) -> OtherExposures | None:
+    """Return what frames show, in the order of the cycle, if they show other exposures."""
     check = NeighbourCheck(controls.levels, controls.black, controls.layout, len(frames))
     noise = controls.frame_noise([frame.applied for frame in frames])
     samples = [
@@ -111,9 +169,16 @@ def contradict(controls: ExposureControls, frames: Sequence[Frame]) -> bool:
     ]
     exposures = [controls.exposure(frame.applied) for frame in frames]
     order = sorted(range(len(frames)), key=exposures.__getitem__)
-    return any(
-        check.compare(samples[a], samples[b], exposures[b] / exposures[a]).shows_another_exposure(
-            exposures_exact=controls.exposures_exact
-        )
+    checks = {
+        (a, b): check.compare(samples[a], samples[b], exposures[b] / exposures[a])
         for a, b in pairwise(order)
-    )
+    }
+    known = {pair: found for pair, found in checks.items() if found.measured is not None}
+    # Little of a dim picture can be compared.  Things that move there give no ratio that stays.
+    if not any(
+        found.shows_another_exposure(exposures_exact=controls.exposures_exact)
+        or (not found.agrees and found.is_one_ratio and found.factor > MOST_CHANGE)
+        for found in checks.values()
+    ):
+        return None
+    return OtherExposures(tuple(exposures), known)

@@ -25,7 +25,7 @@ from camctl.interface.camera import Camera, Frame, use_delay
 from camctl.interface.clock import VirtualClock, cancelled_by
 from camctl.interface.controls import ExposureControls
 from camctl.interface.cycle import CyclingCamera, FrameCycle
-from camctl.livestream.disagreement import Disagreement, contradict
+from camctl.livestream.disagreement import Disagreement, OtherExposures, other_exposures
 from camctl.livestream.following import Following, Look
 from camctl.livestream.planning import LivePlanner, measured_noise
 from camctl.livestream.result import Arrays, LiveResult
@@ -87,7 +87,8 @@ class Live:
         self._kept: deque[Future[LiveResult | None]] = deque()  # awaited by calls that were ended
         self._job: Future[None] | None = None
         self._following = Following()
-        self._contradicting = self._since_look = 0
+        self._since_look = 0
+        self._contradicting: list[OtherExposures] = []  # of looks in a row
         self._last_number: int | None = None
         self._findings: tuple[Finding, ...] = ()
         self._more_findings: list[Finding] = []
@@ -232,7 +233,7 @@ class Live:
         with self._step_lock:
             if self._is_closed:
                 return False
-            if self._contradicting >= _CONTRADICTING_LOOKS:
+            if len(self._contradicting) >= _CONTRADICTING_LOOKS:
                 self._settle()
             assert self._cycle is not None  # it was begun
             try:
@@ -280,7 +281,7 @@ class Live:
             self._tables.clear()
         self._measures_noise = self._controls.noise is None
         self._following.accept(None)
-        self._contradicting = self._since_look = 0
+        self._contradicting, self._since_look = [], 0
 
     def _end_cycle(self) -> None:
         cycle, self._cycle = self._cycle, None
@@ -381,7 +382,11 @@ class Live:
             self._measure_noise(frames)
         else:
             self._tables.make_exact(self._controls, wanted, self._state)
-        self._contradicting = self._contradicting + 1 if contradict(self._controls, frames) else 0
+        found = other_exposures(self._controls, frames)
+        if found is None or any(each.exposures != found.exposures for each in self._contradicting):
+            self._contradicting = []  # looks of another plan say nothing of this one
+        if found is not None:
+            self._contradicting = [*self._contradicting, found]
         self._more_findings = list(look.findings(wanted.desired.dynamic_range))
         is_other = self._following.is_other(look) and self.planner.request.base_s is None
         if is_other or self._next_planner:
@@ -397,19 +402,21 @@ class Live:
                 self._disagreement = Disagreement(self._controls)
 
     def _settle(self) -> None:
-        """Let the camera settle at each exposure where its control delay is not the known one."""
-        if self._controls.delay_frames is not None and use_delay(self._camera, None):
+        """Say why exposures contradict; let the camera settle where its delay may be the reason."""
+        plan, (before, found) = self._wanted, self._contradicting[-_CONTRADICTING_LOOKS:]
+        assert plan is not None  # a cycle was begun with it
+        if found.are_those_of(before) and not found.come_late:
+            finding = found.finding([each.applied for each in self._window.frames])
+        elif self._controls.delay_frames is not None and use_delay(self._camera, None):
             finding = Finding(
                 code="stream_settles", remedies={"calibrate_delay": self._camera.info.id}
             )
-            plan = self._wanted
-            assert plan is not None  # a cycle was begun with it
             self._end_cycle()
             self._controls = replace(self._camera.controls, noise=self._controls.noise)
             self._start_cycle(plan)
         else:
             finding = Finding(code="light_varies", details={"within": "stream"})
-        self._contradicting = 0
+        self._contradicting = []
         self._add(finding)
 
     def _add(self, finding: Finding) -> None:
