@@ -20,7 +20,6 @@ from camctl.findings import Finding
 from camctl.interface.controls import ExposureControls, ExposureSetting, Layout
 from camctl.livestream.tables import SumTable
 from camctl.model.response.camera import FloatArray
-from camctl.pictures.render import DARK
 from camctl.records.capture_plan import MUCH
 
 #: Samples of which the histogram is made, about: 1e-4 of them are 26.
@@ -28,7 +27,7 @@ _SAMPLES = 1 << 18
 #: Change of the highlights, stops, from which other exposures are worth their exchange: the range
 #: of a picture is chosen in whole stops.
 _STOPS = 0.5
-#: Change of the share of samples that are too dark.
+#: Change of the share of samples that are darker than the range.
 _DARK_SHARE = MUCH
 #: Factor by which the shortest exposure is shortened where the highlights are not known.
 _SHORTENING = 4.0
@@ -45,7 +44,7 @@ class Look:
         shares: of the samples that have it
         highlight: E that no more than `OUTLIER_SHARE` of the samples exceed
         clipped: share of the samples that are saturated in every frame
-        dark: share of the samples that are too dark
+        dark: share of the samples that are darker than the desired range
     """
 
     irradiance: FloatArray
@@ -82,7 +81,7 @@ class Look:
             brightest = int(np.flatnonzero(above > OUTLIER_SHARE * above[0])[-1])
             highlights.append(float(table.E[brightest]))
             clipped += found[-1]
-            dark += found[table.mask == DARK].sum()
+            dark += found[table.below].sum()
             kept = found > 0
             lights.append(table.E[kept])
             counts.append(found[kept])

@@ -42,6 +42,7 @@ class SumTable:
             noise is not known
         mask: uint8, see `camctl.pictures.render`
         code: uint16, the desired response, 0 to `FULL_CODE`
+        below: bool, whether the light is below the desired range, or none is shown
         is_exact: whether it is the posterior
     """
 
@@ -50,6 +51,7 @@ class SumTable:
     sd: NDArray[np.float32]
     mask: NDArray[np.uint8]
     code: NDArray[np.uint16]
+    below: NDArray[np.bool_]
     is_exact: bool
 
 
@@ -123,7 +125,9 @@ def sum_tables(
                 deviation[:] = np.nan
             full = float(real.levels[-1]) / min(exposures)
             unlit = len(exposures) * controls.black
-            found[real.fingerprint] = _table((E, deviation, u), full, unlit, scale, is_exact)
+            found[real.fingerprint] = _table(
+                (E, deviation, u), full, unlit, scale, wanted.desired.e_min, is_exact
+            )
     return tuple(found[real.fingerprint] for real in controls.responses or (controls.levels,))
 
 
@@ -156,6 +160,7 @@ def _table(
     full: float,
     unlit: int,
     scale: float,
+    darkest: float,
     is_exact: bool,
 ) -> SumTable:
     """Return the table of light, deviation and desired response.
@@ -165,6 +170,7 @@ def _table(
         full: light that saturates every frame
         unlit: largest sum without light
         scale: of the unit of the results
+        darkest: light of the desired range
         is_exact: see `SumTable`
     """
     E, deviation, u = found
@@ -180,5 +186,6 @@ def _table(
         (deviation * scale).astype(np.float32),
         mask,
         np.rint(u * FULL_CODE).astype(np.uint16),
+        (darkest > E) | (np.arange(E.size) <= unlit),
         is_exact,
     )

@@ -178,6 +178,22 @@ def test_dark_light_is_a_finding() -> None:
     assert "darker than its range of 1:16" in words["light_below_range"]
 
 
+def test_light_that_is_seen_below_the_range_counts_as_darker() -> None:
+    request = CaptureRequest(base_s=0.004, ratios=(1, 16), dynamic_range=16)
+    light = gradient(*SHAPE, low=0.01)
+    with camera(light) as opened:
+        (frame,) = opened.shoot([ExposureSetting(0.004)])
+        with camctl.live(opened, request) as live:
+            last = results(live, 40)[-1]
+    middle = SHAPE[0] // 2  # not saturated
+    shown = (frame.pixels[middle].mean() - frame.black) / (frame.white - frame.black)
+    truth = light * shown / light[middle].mean()  # 1 saturates the shortest exposure
+    (found,) = (each for each in last.findings if each.code == "light_below_range")
+    assert found.value is not None
+    assert found.value == pytest.approx((truth < 1 / 16).mean(), abs=0.01)
+    assert (last.mask & 1).mean() < found.value / 2
+
+
 def test_frames_that_keep_contradicting_are_one_finding() -> None:
     """Settled at each exposure, the camera gets another light in each frame."""
     random = np.random.default_rng(0)

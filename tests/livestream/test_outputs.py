@@ -15,6 +15,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -35,7 +36,6 @@ from camctl.livestream.display import Display
 from camctl.livestream.outputs import ExrOutput, RawOutput, Y4mOutput, ycbcr
 from camctl.livestream.result import LiveResult
 from camctl.livestream.stream import Live
-from camctl.livestream.tables import SumTable
 from camctl.livestream.web import WebOutput, live_site
 
 GIVEN = CaptureRequest(base_s=0.002, ratios=(1, 4, 16), dynamic_range=256)
@@ -71,10 +71,7 @@ def test_the_mapping_for_looking_follows_slowly() -> None:
         first = next(live)
         before = display.picture(first).astype(float).mean()
         first._tables = tuple(  # ten times the light at once
-            SumTable(
-                each.E * 10, each.irradiance * 10, each.sd, each.mask, each.code, each.is_exact
-            )
-            for each in first._tables
+            replace(each, E=each.E * 10, irradiance=each.irradiance * 10) for each in first._tables
         )
         first.time_s += 1 / 30
         after = display.picture(first).astype(float).mean()
