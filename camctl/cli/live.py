@@ -24,7 +24,7 @@ from camctl.cli.output import (
 )
 from camctl.cli.parameter_types import Number, WholeNumber
 from camctl.cli.request_options import RequestOptions, request_options
-from camctl.errors import UsageError
+from camctl.errors import CameraError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -122,6 +122,7 @@ def live(
             takers.append(maker(results))
             resources.callback(takers[-1].close)
         run = _Run(results)
+        results.on_waiting = _say_waiting
         try:
             for result in results:
                 for taker in takers:
@@ -173,6 +174,13 @@ def _say_addresses(takers: Iterable[Output]) -> None:
     for taker in takers:
         if isinstance(taker, WebOutput):
             print_error(f"live at {taker.site.shown_url}")
+
+
+def _say_waiting(error: CameraError | None) -> None:
+    """Print that the camera is waited for, or that it is back."""
+    print_error(
+        "the camera is back" if error is None else f"{error.what}: waiting until it is back"
+    )
 
 
 class _Loopback:

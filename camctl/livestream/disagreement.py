@@ -131,6 +131,10 @@ class OtherExposures:
             for late in range(1, count)
         )
 
+    def is_of_plan(self, other: OtherExposures) -> bool:
+        """Return whether they should have the exposures of others."""
+        return self.exposures == other.exposures
+
     def are_those_of(self, other: OtherExposures) -> bool:
         """Return whether other frames of the same plan have the same exposures."""
         return all(

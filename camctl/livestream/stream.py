@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections import deque
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
@@ -54,6 +54,7 @@ class Live:
         planner: chooses the exposures
         lost: frames that did not arrive
         is_waiting: whether the camera is gone, and waited for
+        on_waiting: called with the reason when that begins, and with None when the camera is back
     """
 
     def __init__(
@@ -96,6 +97,7 @@ class Live:
         self._measures_noise = False
         self.lost = 0
         self.is_waiting = False
+        self.on_waiting: Callable[[CameraError | None], object] = lambda _: None
 
     # ---- for the consumer
 
@@ -292,6 +294,7 @@ class Live:
     def _reconnect(self, error: CameraError) -> None:
         """Open a camera that is gone until it is back; raise `error` after the patience."""
         self.is_waiting = True
+        self.on_waiting(error)
         self._end_cycle()
         clock, began = self._camera.clock, self._camera.clock.now()
         while not self._is_closed:
@@ -299,10 +302,10 @@ class Live:
                 self._camera.close()
             try:
                 self._camera.__enter__()
-                plan = self._wanted
-                assert plan is not None  # a cycle was begun with it
-                self._start_cycle(plan)
+                assert self._wanted is not None  # a cycle was begun with it
+                self._start_cycle(self._wanted)
                 self.is_waiting = False
+                self.on_waiting(None)
                 return
             except CameraError:
                 if clock.now() - began > self._patience_s:
@@ -383,10 +386,9 @@ class Live:
         else:
             self._tables.make_exact(self._controls, wanted, self._state)
         found = other_exposures(self._controls, frames)
-        if found is None or any(each.exposures != found.exposures for each in self._contradicting):
-            self._contradicting = []  # looks of another plan say nothing of this one
-        if found is not None:
-            self._contradicting = [*self._contradicting, found]
+        # Looks of another plan say nothing of this one.
+        before = [each for each in self._contradicting if found and found.is_of_plan(each)]
+        self._contradicting = [] if found is None else [*before, found]
         self._more_findings = list(look.findings(wanted.desired.dynamic_range))
         is_other = self._following.is_other(look) and self.planner.request.base_s is None
         if is_other or self._next_planner:
@@ -403,17 +405,16 @@ class Live:
 
     def _settle(self) -> None:
         """Say why exposures contradict; let the camera settle where its delay may be the reason."""
-        plan, (before, found) = self._wanted, self._contradicting[-_CONTRADICTING_LOOKS:]
-        assert plan is not None  # a cycle was begun with it
+        before, found = self._contradicting[-_CONTRADICTING_LOOKS:]
         if found.are_those_of(before) and not found.come_late:
             finding = found.finding([each.applied for each in self._window.frames])
         elif self._controls.delay_frames is not None and use_delay(self._camera, None):
-            finding = Finding(
-                code="stream_settles", remedies={"calibrate_delay": self._camera.info.id}
-            )
+            measure = {"calibrate_delay": self._camera.info.id}
+            finding = Finding(code="stream_settles", remedies=measure)
             self._end_cycle()
             self._controls = replace(self._camera.controls, noise=self._controls.noise)
-            self._start_cycle(plan)
+            assert self._wanted is not None  # a cycle was begun with it
+            self._start_cycle(self._wanted)
         else:
             finding = Finding(code="light_varies", details={"within": "stream"})
         self._contradicting = []

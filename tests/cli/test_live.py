@@ -26,6 +26,17 @@ def test_results_become_files(run: Run, tmp_path: Path) -> None:
     assert len(list(folder.iterdir())) == 3
 
 
+def test_a_camera_that_is_gone_is_waited_for_aloud(run: Run) -> None:
+    ran = run(
+        "live", *SMALL, "--ratios", "1,4", "--output", "exr:some", "--count", "9",
+        "-O", "faults=unplug@6", "--json",
+    )  # fmt: skip
+    assert ran.status == 0
+    assert ran.json["results"] == 9
+    assert "the simulated camera was unplugged: waiting until it is back" in ran.err
+    assert "the camera is back" in ran.err.splitlines()
+
+
 @pytest.mark.parametrize(
     ("arguments", "part"),
     [
