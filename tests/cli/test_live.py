@@ -34,7 +34,7 @@ def test_a_camera_that_is_gone_is_waited_for_aloud(run: Run) -> None:
     assert ran.status == 0
     assert ran.json["results"] == 9
     assert "the simulated camera was unplugged: waiting until it is back" in ran.err
-    assert "the camera is back" in ran.err.splitlines()
+    assert "camctl: the camera is back" in ran.err.splitlines()
 
 
 @pytest.mark.parametrize(
