@@ -232,6 +232,38 @@ def _add_bow(dn: Light, top: np.float32, factor: np.float32) -> None:
         dn[i] += u * (_WHOLE - u / top) * factor
 
 
+_COLUMNS = 1 << 6  # columns in which charge flows at a time: their arrays stay in a cache of 1 MB
+
+
+def _bloom(picture: Light, columns: NDArray[np.intp], full: float, share: float) -> None:
+    """Let `share` of the charge beyond `full` flow down these columns, and as much up; in place.
+
+    See `camctl.sim.effects.charge`.
+    """
+    rows = len(picture)
+    charge, flowing = np.empty((rows, _COLUMNS)), np.empty((rows, _COLUMNS))
+    carried = np.empty(_COLUMNS)
+    for first in range(0, columns.size, _COLUMNS):
+        some = columns[first : first + _COLUMNS]
+        for row in range(rows):
+            for i in range(some.size):
+                value = np.float64(picture[row, some[i]])
+                flowing[row, i] = max(value - full, 0.0) * share
+                charge[row, i] = min(value, full)
+        for turn in range(2):
+            carried[:] = 0.0
+            for step in range(rows):
+                row = step if turn == 0 else rows - 1 - step
+                for i in range(some.size):
+                    more = min(carried[i] + flowing[row, i], full * rows)
+                    taken = min(more, full - charge[row, i])
+                    charge[row, i] += taken
+                    carried[i] = more - taken
+        for row in range(rows):
+            for i in range(some.size):
+                picture[row, some[i]] = charge[row, i]
+
+
 @dataclass(frozen=True)
 class Kernels:
     """The compiled functions; all release the lock of Python."""
@@ -243,6 +275,7 @@ class Kernels:
     add_up: Callable[[Bits, Counts, Counts, Light, NDArray[np.int64]], None]
     add_bow: Callable[[Light, np.float32, np.float32], None]
     quantise: Callable[[Light, np.float32, np.float32, np.float32, NDArray[Any]], None]
+    bloom: Callable[[Light, NDArray[np.intp], float, float], None]
 
 
 @lru_cache(maxsize=1)
@@ -255,7 +288,7 @@ def load() -> Kernels | None:
     compiled = compiler()
     if compiled is None:
         return None
-    functions = (_add_noise, _draw, _look_up, _expand, _add_up, _add_bow, _quantise)
+    functions = (_add_noise, _draw, _look_up, _expand, _add_up, _add_bow, _quantise, _bloom)
     kernels = Kernels(*(compiled(function) for function in functions))
     light, table = np.ones(1, np.float32), np.ones(1 << 16, np.float32)
     table.setflags(write=False)
@@ -270,6 +303,7 @@ def load() -> Kernels | None:
     kernels.add_bow(light, _TWO, _ZERO)
     for dtype in (np.uint8, np.uint16):
         kernels.quantise(light, _TWO, _ZERO, _TWO, np.empty(1, dtype))
+    kernels.bloom(np.ones((1, 1), np.float32), np.zeros(1, np.intp), 1.0, 0.5)
     return kernels
 
 

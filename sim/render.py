@@ -198,22 +198,21 @@ class Renderer:
                 apply(tile)
             self._convert(tile, flat[here], converting)
 
-        across_tiles = _pictures(running, Stage.WELL)
-        if not across_tiles:
+        flows = [effect.flow for effect in running if effect.flow is not None]
+        if not flows:
             self._run_tiles(shot, light, (collect, read))
             return
         charge = np.empty(light.size, np.float32)
         self._run_tiles(shot, light, (collect,), charge)
-        picture = charge.reshape(np.atleast_2d(self._view.light).shape)
-        for change in across_tiles:
-            picture = change(picture, shot)
-        self._run_tiles(shot, light, (read,), picture.reshape(-1))
+        for flow in flows:
+            flow(charge.reshape(-1, shot.width), shot, self._kernels.after(0))
+        self._run_tiles(shot, light, (read,), charge)
 
     def _light(self, shot: Shot, running: Sequence[Effect], timing: RowTiming) -> Light:
         """Return photons a second on each sample, after all effects on the picture of light."""
         if self._view.target is not None:
             return self._new_light(shot, running, timing)
-        changes = [e.name for e in running if e.picture is not None and e.stage <= Stage.SAMPLES]
+        changes = [e.name for e in running if e.picture is not None]
         if not changes:
             return np.ascontiguousarray(self._view.light)
         return self._cache.get(tuple(changes), lambda: (self._new_light(shot, running, timing),))[0]

@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.sim.compiled import Kernels
 from camctl.sim.effects.record import (
     LARGEST_NOISE,
     Change,
@@ -142,44 +143,58 @@ def _cosmic_change(shot: Shot) -> Change:
     return Change(never="not left out: samples were hit in this frame", hit_e=limit)
 
 
-def _bloom(electrons: Light, shot: Shot) -> Light:
-    """Let charge beyond the well flow along the columns, in place; (rows, columns[, 3]).
+def _bloom(picture: Light, shot: Shot, kernels: Kernels | None) -> None:
+    """Let charge beyond the well flow along the columns, in place; (rows, width).
 
     Half of the share `blooming` flows down and half up, and fills each well that it passes; the
     rest is drained.  No charge is lost but beyond the border.  Only the columns that have a full
     well are touched, and only the rows that charge reaches.
     """
-    picture = electrons.reshape(shot.rows, shot.width)
     full = float(np.float32(shot.sensor.full_well_e))
+    share = shot.sensor.pixels.blooming / 2
     columns = np.flatnonzero(picture.max(axis=0) > full)
+    if kernels is not None:
+        kernels.bloom(picture, columns, full, share)
+        return
     if columns.size == 0:
-        return electrons
-    charge = picture[:, columns].astype(np.float64)
-    flowing = np.maximum(charge - full, 0) * (shot.sensor.pixels.blooming / 2)
+        return
+    charge = picture.take(columns, axis=1).astype(np.float64)
+    flowing = charge - full
+    np.maximum(flowing, 0, out=flowing)
+    flowing *= share
     np.minimum(charge, full, out=charge)
-    _fill_wells(charge, flowing, full)
-    _fill_wells(charge[::-1], flowing[::-1], full)
-    picture[:, columns] = charge
-    return electrons
-
-
-def _fill_wells(charge: NDArray[np.float64], flowing: NDArray[np.float64], full: float) -> None:
-    """Let the charge `flowing` out of each pixel flow down and fill wells; in place.
-
-    Both (rows, columns) electrons.
-    """
-    sources = np.flatnonzero(flowing.any(axis=1))
+    sources = np.flatnonzero(flowing.max(axis=1))
     if sources.size == 0:  # the share was too small for any number
         return
-    carried = np.zeros(charge.shape[1])
-    for row in range(sources[0], len(charge)):
-        # More than all wells of a column cannot be taken up: without a limit, rounding would grow.
-        np.minimum(carried + flowing[row], full * len(charge), out=carried)
-        if row > sources[-1] and not carried.any():
-            return
-        taken = np.minimum(carried, full - charge[row])
-        charge[row] += taken
-        carried -= taken
+    # More than all wells of a column cannot be taken up: without a limit, rounding would grow.
+    most, span = full * len(charge), int(sources[-1] - sources[0])
+    for rows in (slice(sources[0], None), slice(sources[-1], None, -1)):
+        _fill_wells(charge[rows], flowing[rows], full, most, span)
+    picture[:, columns] = charge
+
+
+def _fill_wells(
+    charge: NDArray[np.float64],
+    flowing: NDArray[np.float64],
+    full: float,
+    most: float,
+    span: int,
+) -> None:
+    """Let the charge `flowing` out of each pixel flow down and fill wells; in place.
+
+    Both (rows, columns) electrons; only the first row and the `span` ones after it have sources.
+    No more than `most` flows in a column.
+    """
+    carried, taken = np.zeros(charge.shape[1]), full - charge
+    for row, (here, more) in enumerate(zip(taken, flowing, strict=True)):
+        if row > span and not carried.any():
+            taken = taken[:row]
+            break
+        carried += more
+        np.minimum(carried, most, out=carried)
+        np.minimum(carried, here, out=here)
+        carried -= here
+    charge[: len(taken)] += taken
 
 
 def _blooming_change(shot: Shot) -> Change:
@@ -252,7 +267,7 @@ CHARGE = (
         present=lambda shot: shot.sensor.pixels.blooming > 0,
         change=_blooming_change,
         cost=3.8,
-        picture=_bloom,
+        flow=_bloom,
     ),
     Effect(
         "full well",

@@ -16,6 +16,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.sim.compiled import Kernels
 from camctl.sim.frame_cache import FrameCache
 from camctl.sim.noise import PATTERN, TILE, Stream, TileNoise, largest_noise
 from camctl.sim.photon_counts import READ_NOISE_THAT_HIDES_COUNTS_E
@@ -294,8 +295,8 @@ class Lines:
 class Effect:
     """One effect.
 
-    `timing`, `picture`, `lines` and `apply` are its work; an effect has one of them, or none if
-    the renderer does its work for every sensor (such as quantisation).
+    `timing`, `picture`, `lines`, `apply` and `flow` are its work; an effect has one of them, or
+    none if the renderer does its work for every sensor (such as quantisation).
 
     Attributes:
         name: as users see it
@@ -308,10 +309,12 @@ class Effect:
             (bench_sensor_costs.py); see `cost_in`
         varies: what `change` depends on from frame to frame of the same exposure, if on anything
         timing: for `Stage.SCENE`, returns the timing as the effect changes it
-        picture: returns the whole picture as the effect changes it, (rows, columns[, 3]): light for
-            `Stage.LENS` and `Stage.SAMPLES`, charge for `Stage.WELL` (in place)
+        picture: for `Stage.LENS` and `Stage.SAMPLES`, returns the light of the whole picture as the
+            effect changes it, (rows, columns[, 3])
         lines: returns numbers for rows and columns, computed once a frame and applied to each tile
         apply: changes a tile in place, from `Stage.MEAN` on
+        flow: for `Stage.WELL`, changes the charge of the whole picture in place, (rows, width);
+            with compiled functions where they are given
     """
 
     name: str
@@ -326,14 +329,15 @@ class Effect:
     picture: Callable[[Light, Shot], Light] | None = None
     lines: Callable[[Shot, RowTiming], Lines] | None = None
     apply: Callable[[Tile], None] | None = None
+    flow: Callable[[Light, Shot, Kernels | None], None] | None = None
 
     def cost_in(self, shot: Shot) -> float:
         """Return nanoseconds for each of `samples` in frames after the first.
 
         The light of a scene at rest is kept between frames, with all effects on it.
         """
-        is_kept = self.picture is not None and self.stage <= Stage.SAMPLES
-        return 0.0 if is_kept and shot.view.target is None else self.cost
+        is_kept = self.picture is not None and shot.view.target is None
+        return 0.0 if is_kept else self.cost
 
     def samples(self, shot: Shot) -> int:
         """Return on how many numbers it works: before a colour mosaic three for each pixel."""

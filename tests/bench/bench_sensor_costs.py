@@ -75,6 +75,7 @@ class Spent:
             timing=self.timed(name, effect.timing),
             picture=self.timed(name, effect.picture),
             apply=self.timed(name, effect.apply),
+            flow=self.timed(name, effect.flow),
             lines=None if lines is None else timed_lines,
         )
 

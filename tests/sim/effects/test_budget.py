@@ -126,7 +126,7 @@ def test_the_records_of_all_effects_are_complete() -> None:
     for effect in EFFECTS:
         assert effect.model
         assert effect.cost >= 0
-        work = (effect.timing, effect.picture, effect.lines, effect.apply)
+        work = (effect.timing, effect.picture, effect.lines, effect.apply, effect.flow)
         assert sum(each is not None for each in work) <= 1
     assert [effect.stage for effect in EFFECTS] == sorted(effect.stage for effect in EFFECTS)
 

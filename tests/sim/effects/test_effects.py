@@ -274,9 +274,10 @@ def test_blooming_conserves_charge_and_reaches_further_with_more_of_it(
     charge[100, 1] = over * well
     sensor = Sensor(name="s", bits=8, full_well_e=well, pixels=Pixels(blooming=share))
     shot = Renderer(View(charge), sensor).shot(0.01, 1.0, 0)
-    spread = EFFECT["blooming"].picture
-    assert spread is not None
-    seen = spread(charge.copy(), shot).astype(np.float64)
+    flow, spread = EFFECT["blooming"].flow, charge.copy()
+    assert flow is not None
+    flow(spread, shot, None)
+    seen = spread.astype(np.float64)
     flowing = share * (over - 1) * well
     room = (rows - 1) * (well - dark_e)
     assert np.all(seen[:, [0, 2]] == dark_e)
