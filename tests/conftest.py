@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 from collections.abc import Generator, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -54,10 +55,49 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.freeze()
 
 
+LONG = {
+    "test_a_cycle_uses_what_frames_state_once_the_pixels_agree",
+    "test_a_study_continues_after_its_cluster_was_killed",
+    "test_all_figures_are_drawn_and_none_is_flat",
+    "test_broken_orders_of_the_writes_are_noticed",
+    "test_capture_is_taken_judged_and_loaded",
+    "test_delay_is_measured_and_then_costs_n_plus_d_frames",
+    "test_delays_of_time_and_gain_are_used_apart",
+    "test_every_reader_keeps_to_500_mb_and_5_s",
+    "test_frames_have_their_exposures",
+    "test_light_of_colours_is_that_of_numpy_where_it_is_compiled",
+    "test_many_sets_neither_drift_nor_grow",
+    "test_project_that_uses_camctl_passes_mypy_strict",
+    "test_rows_can_be_run_again",
+    "test_several_cameras_are_marked_and_take_one_picture",
+    "test_silent_camera_is_an_error",
+    "test_silent_camera_raises_an_error_after_a_limited_time",
+    "test_the_memorial_photographs_come_out_with_one_warning",
+    "test_unplugged_camera_raises_an_error_of_one_line",
+}
+"""Tests of ten seconds and more, beside those with a time limit of their own."""
+
+
+def takes_long(item: pytest.Item) -> bool:
+    name = getattr(item, "originalname", item.name)
+    return name in LONG or item.get_closest_marker("timeout") is not None
+
+
 @pytest.hookimpl(trylast=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run first what has a time limit of its own: it takes long, and would run alone at the end."""
-    items.sort(key=lambda item: item.get_closest_marker("timeout") is None)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Run first what takes long, and would run alone at the end.
+
+    pytest-xdist cuts the list in parts, one for each of its processes; each begins with its share.
+    """
+    given: dict[str, int] = getattr(config, "workerinput", {})
+    parts = given.get("workercount", 1)
+    long = [item for item in items if takes_long(item)]
+    others = iter([item for item in items if not takes_long(item)])
+    ends = [len(items) * (part + 1) // parts for part in range(parts)]
+    items.clear()
+    for part, end in enumerate(ends):
+        items += long[part::parts]
+        items += islice(others, max(0, end - len(items)))
 
 
 @pytest.fixture
