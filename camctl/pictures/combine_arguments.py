@@ -63,20 +63,8 @@ def white_level(dtype: np.dtype[Any], response: Response, black: int, white: int
     for name, level in (("black", black), ("white", white)):
         if level is not None and not isinstance(level, Integral):
             raise UsageError(f"invalid {name} level {level!r}: expected an integer")
-    if not isinstance(response, str | CameraResponse):
-        curves = tuple(response) if isinstance(response, Iterable) else (response,)
-        if not all(isinstance(each, CameraResponse) for each in curves):
-            raise UsageError(
-                f"invalid response of type {type(response).__name__}: expected a name such as "
-                '"linear", a CameraResponse, or three of R, G and B'
-            )
-        if len(curves) not in (1, 3):
-            raise UsageError(
-                f"invalid response of {len(curves)} curves: expected 1, or 3 of R, G, B"
-            )
     if white is None and not isinstance(response, str):
-        first = response if isinstance(response, CameraResponse) else response[0]
-        white = black + first.M
+        white = black + _curves(response)[0].M
     if white is None and dtype.itemsize > 1:
         raise UsageError(
             "the white level of 16-bit frames is not known",
@@ -98,13 +86,26 @@ def channel_responses(response: Response, black: int, white: int) -> tuple[Camer
         return (linear_response(16, phase=phase, levels=levels),)
     if isinstance(response, str):
         return (standard_response(response, 16, phase=phase, levels=levels),)
-    found = (response,) if isinstance(response, CameraResponse) else tuple(response)
+    found = _curves(response)
     for each in found:
         if levels != each.M:
             raise UsageError(
                 f"the response has {each.M} levels, and white - black is {levels}",
                 hint="give the black and white level of the frames",
             )
+    return found
+
+
+def _curves(response: CameraResponse | Sequence[CameraResponse]) -> tuple[CameraResponse, ...]:
+    """Return the curve of a response, or those of R, G and B."""
+    found = tuple(response) if isinstance(response, Iterable) else (response,)
+    if not all(isinstance(each, CameraResponse) for each in found):
+        raise UsageError(
+            f"invalid response of type {type(response).__name__}: expected a name such as "
+            '"linear", a CameraResponse, or three of R, G and B'
+        )
+    if len(found) not in (1, 3):
+        raise UsageError(f"invalid response of {len(found)} curves: expected 1, or 3 of R, G, B")
     return found
 
 
