@@ -17,7 +17,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,9 +62,9 @@ _LEAST_KNOWN = 3
 #: Rounds of the fit of scales, and bisections of each, from 1/20,000 to 20,000 levels.
 _ROUNDS, _HALVINGS, _REACH = 12, 24, 10.0
 #: Levels of brightness with one noise.
-_NOISE_BINS = 16
+NOISE_BINS = 16
 #: Octave of each number of frequencies, up to 63.
-_OCTAVES = np.ceil(np.log2(1 + np.arange(SIDE * SIDE))).astype(np.intp)
+OCTAVES = np.ceil(np.log2(1 + np.arange(SIDE * SIDE))).astype(np.intp)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,19 +93,25 @@ class LostDetail:
         bins = _noise_bins(brightness)
         classes = np.minimum(_classes(kept), len(self.variance) - 1)
         places = classes * len(self.rounded) + bins
-        by_kept = self._more_by_kept.take(places, axis=0)
+        by_kept = self.more_by_kept.take(places, axis=0)
         more = np.einsum("bf,bf->b", by_kept, kept, dtype=np.float32)
-        return np.asarray(np.maximum(self._all_lost.take(places) + more, 0), np.float32)
+        return np.asarray(np.maximum(self.all_lost.take(places) + more, 0), np.float32)
 
     @cached_property
-    def _all_lost(self) -> NDArray[np.float32]:
+    def all_lost(self) -> NDArray[np.float32]:
         """What a block loses that keeps nothing, by class and brightness, (classes * bins,)."""
-        return np.asarray(self.variance.mean(axis=2).ravel())
+        return self._in_quanta(self.variance.mean(axis=2).ravel())
 
     @cached_property
-    def _more_by_kept(self) -> NDArray[np.float32]:
+    def more_by_kept(self) -> NDArray[np.float32]:
         """What it loses more for each frequency that is kept, (classes * bins, 64)."""
-        return np.asarray((self.rounded - self.variance).reshape(-1, SIDE * SIDE) / SIDE**2)
+        return self._in_quanta((self.rounded - self.variance).reshape(-1, SIDE * SIDE) / SIDE**2)
+
+    def _in_quanta(self, values: NDArray[Any]) -> NDArray[np.float32]:
+        """Return values of which float32 has all sums: in any order they are the same."""
+        most = float(self.variance.max(initial=0) + self.rounded.max(initial=0))
+        quantum = 2.0 ** math.ceil(math.log2(max(most, 1e-30)) - np.finfo(np.float32).nmant)
+        return np.asarray(np.rint(values / quantum) * quantum, np.float32)
 
     def of_picture(self, brightness: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the same of the blocks of a picture, (rows / 8, columns / 8), both rounded up."""
@@ -171,7 +177,7 @@ def _lost_detail(scales: Floats, steps: Floats, noise: Floats) -> LostDetail:
         steps: of the frequencies
         noise: standard deviation of the brightness at each one, levels, (256,)
     """
-    noise = noise.reshape(_NOISE_BINS, -1).mean(axis=1)
+    noise = noise.reshape(NOISE_BINS, -1).mean(axis=1)
     square = np.square(noise)[:, np.newaxis]
     in_steps = square / np.square(steps)
     # Of the error of a rounded value, Widrow and Kollar, Quantization Noise, 2008.
@@ -212,22 +218,27 @@ def frequencies(brightness: NDArray[np.float32]) -> NDArray[np.float32]:
 @lru_cache(maxsize=1)
 def _cosines() -> NDArray[np.float32]:
     """Return the cosine transform of a block (ITU-T T.81, A.3.3), (64 pixels, 64 frequencies)."""
+    return np.asarray(np.kron(cosines(), cosines()).T, np.float32)
+
+
+def cosines() -> Floats:
+    """Return the cosine transform of a row of a block, (8 frequencies, 8 pixels)."""
     pixel, frequency = np.arange(SIDE), np.arange(SIDE)[:, np.newaxis]
     rows = np.cos((2 * pixel + 1) * frequency * (math.pi / (2 * SIDE))) * math.sqrt(2 / SIDE)
     rows[0] *= math.sqrt(0.5)
-    return np.asarray(np.kron(rows, rows).T, np.float32)
+    return np.asarray(rows)
 
 
 def _classes(kept: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Return the class of each block: the octave of how many frequencies it keeps."""
     words = kept.view(np.uint64)  # of 8 bytes, each 0 or 1
     counts = np.add.reduce(words, axis=1).view(np.uint8).reshape(len(kept), 8)
-    return np.asarray(_OCTAVES.take(counts.sum(axis=1, dtype=np.uint8) - kept[:, 0]))
+    return np.asarray(OCTAVES.take(counts.sum(axis=1, dtype=np.uint8) - kept[:, 0]))
 
 
 def _noise_bins(brightness: NDArray[np.float32]) -> NDArray[np.intp]:
     mean = np.clip(brightness.mean(axis=(1, 2)), 0, LEVELS - 1)
-    return np.asarray(mean * (_NOISE_BINS / LEVELS), np.intp)
+    return np.asarray(mean * (NOISE_BINS / LEVELS), np.intp)
 
 
 def _steps(frames: Sequence[NDArray[np.float32]]) -> Floats:

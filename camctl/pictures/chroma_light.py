@@ -79,19 +79,24 @@ def share_chroma_errors(
             planes[place] = _by_cells(frame[..., channel])
     compiled = _compiled(seen[0])
     if compiled is not None:
-        errors = compiled.chroma_variance(seen.reshape(*seen.shape[:3], *shape), noises)
+        of_chroma = compiled.chroma_variance(seen.reshape(*seen.shape[:3], *shape), noises)
     else:
-        errors = np.stack(
+        of_chroma = np.stack(
             [
                 chroma_variance(cells.reshape(-1, 4, *shape), noise)
                 for cells, noise in zip(seen.swapaxes(0, 1), noises, strict=True)
             ],
             axis=1,
         )
-    of_chroma = errors.copy().reshape(len(tables), count, -1)
-    for frame, detail, error in zip(frames, details, errors.swapaxes(0, 1), strict=bool(details)):
-        error += _by_block(detail, frame)
-    spreads = np.sqrt(errors, out=errors).reshape(of_chroma.shape)
+    if compiled is not None and details:
+        spreads = compiled.spreads(frames, details, of_chroma)
+    else:
+        spreads = of_chroma.copy()
+        by_frame = spreads.swapaxes(0, 1)
+        for frame, detail, error in zip(frames, details, by_frame, strict=bool(details)):
+            error += _by_block(detail, frame)
+        np.sqrt(spreads, out=spreads)
+    of_chroma, spreads = (each.reshape(len(tables), count, -1) for each in (of_chroma, spreads))
     lights, deviations = (
         [_by_cells(each[..., k]) for k in range(len(tables))] for each in (irradiance, deviation)
     )

@@ -7,7 +7,7 @@ OpenCV has them.  This module is imported only where it is used.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +21,13 @@ from camctl.evidence.chroma import (
     OF_Y,
     OTHER,
 )
+from camctl.evidence.lost_detail import LEVELS, NOISE_BINS, OCTAVES, LostDetail, cosines
+from camctl.evidence.patches import SIDE
 from camctl.model.compiled_join import join_cells
 from camctl.model.light import Floats32
 from camctl.system.compiled_functions import compiler
 
-__all__ = ["chroma_variance", "join_cells"]
+__all__ = ["chroma_variance", "join_cells", "spreads"]
 
 _compiled = compiler(are_joined=True) or (lambda function: function)
 
@@ -39,6 +41,8 @@ _OF_RED, _OF_BLUE, _OF_BOTH = (
 )
 _FREE_CELLS, _FREE_DETAIL = (np.float32(16 / np.pi / x) for x in (OF_CELLS, OF_DETAIL))
 _NINTH = 1 / 9
+_MIDDLE, _BRIGHTEST, _IN_BLOCK = (np.float32(x) for x in (LEVELS / 2, LEVELS - 1, 1 / SIDE**2))
+_BINS_OF_LEVEL = np.float32(NOISE_BINS / LEVELS)
 #: Quantities whose means over 3 x 3 cells are needed.
 _QUANTITIES = 10
 
@@ -196,4 +200,164 @@ def chroma_variance(cells: NDArray[Any], noises: Sequence[Floats32]) -> Floats32
     around, shown = (np.empty((count, columns), np.float32) for count in (_QUANTITIES, 4))
     for at, noise in enumerate(noises):
         _chroma_variance(cells, at, noise, rows, means, sums, around, shown, found)
+    return found
+
+
+class _Detail(NamedTuple):
+    """What is tabulated of what a file loses, see `camctl.evidence.lost_detail`.
+
+    Attributes:
+        cosines: of a row of a block, (8, 8)
+        half: of the steps of frequencies, (64,)
+        lost: by class of block and brightness, (classes * bins,)
+        more: likewise, for each frequency that is kept, (64, classes * bins)
+        octaves: class of each number of frequencies, up to the last one that is known
+    """
+
+    cosines: Floats32
+    half: Floats32
+    lost: Floats32
+    more: Floats32
+    octaves: NDArray[np.uint32]
+
+    @classmethod
+    def of(cls, detail: LostDetail) -> _Detail:
+        return cls(
+            cosines().astype(np.float32),
+            (detail.steps / 2).astype(np.float32),
+            detail.all_lost,
+            np.ascontiguousarray(detail.more_by_kept.T),
+            np.minimum(OCTAVES, len(detail.variance) - 1).astype(np.uint32),
+        )
+
+
+class _Blocks(NamedTuple):
+    """What is known of a row of blocks.
+
+    Attributes:
+        Y: brightness, and its frequencies along columns, (2, 8, 8 B)
+        columns: these, by column of the block, (8, 8, B)
+        kept: whether a frequency is not 0, (64, B)
+        place: in the tables, (B,)
+        lost: (B,)
+        of_cells: the same of each column of cells
+    """
+
+    Y: Floats32
+    columns: Floats32
+    kept: NDArray[np.uint8]
+    place: NDArray[np.uint32]
+    lost: Floats32
+    of_cells: Floats32
+
+    @classmethod
+    def of(cls, count: int) -> _Blocks:
+        return cls(
+            np.empty((2, SIDE, SIDE * count), np.float32),
+            np.empty((SIDE, SIDE, count), np.float32),
+            np.empty((SIDE * SIDE, count), np.uint8),
+            np.empty(count, np.uint32),
+            np.empty(count, np.float32),
+            np.empty(SIDE // 2 * count, np.float32),
+        )
+
+
+@_compiled
+def _read(frame: NDArray[Any], first: int, blocks: _Blocks) -> None:
+    """Set the brightness of a row of blocks; what they have beyond the frame is its border."""
+    last, columns = frame.shape[1] - 1, frame.shape[2]
+    for y in range(SIDE):
+        row = min(first + y, last)
+        for x in range(columns):
+            red, green = np.float32(frame[0, row, x]), np.float32(frame[1, row, x])
+            Y = red * _RED + green * _ONLY_GREEN + np.float32(frame[2, row, x]) * _BLUE
+            blocks.Y[0, y, x] = Y - _MIDDLE
+        for x in range(columns, blocks.Y.shape[2]):
+            blocks.Y[0, y, x] = blocks.Y[0, y, columns - 1]
+
+
+@_compiled
+def _transform(detail: _Detail, blocks: _Blocks) -> None:
+    """Set which frequencies of blocks are kept."""
+    whole, count = blocks.Y.shape[2], len(blocks.lost)
+    for u in range(SIDE):
+        for x in range(whole):
+            found = _ZERO
+            for y in range(SIDE):
+                found += detail.cosines[u, y] * blocks.Y[0, y, x]
+            blocks.Y[1, u, x] = found
+        for x in range(SIDE):
+            for j in range(count):
+                blocks.columns[x, u, j] = blocks.Y[1, u, SIDE * j + x]
+    for u in range(SIDE):
+        for v in range(SIDE):
+            half = detail.half[SIDE * u + v]
+            for j in range(count):
+                found = _ZERO
+                for x in range(SIDE):
+                    found += detail.cosines[v, x] * blocks.columns[x, u, j]
+                blocks.kept[SIDE * u + v, j] = abs(found) > half
+
+
+@_compiled
+def _lose(detail: _Detail, blocks: _Blocks) -> None:
+    """Set what blocks lose."""
+    count = len(blocks.lost)
+    for j in range(count):
+        blocks.place[j], blocks.lost[j] = 0, _ZERO
+    for f in range(1, SIDE * SIDE):
+        for j in range(count):
+            blocks.place[j] += blocks.kept[f, j]
+    for y in range(SIDE):
+        for j in range(count):
+            for x in range(SIDE):
+                blocks.lost[j] += blocks.Y[0, y, SIDE * j + x]
+    for j in range(count):
+        mean = min(max(blocks.lost[j] * _IN_BLOCK + _MIDDLE, _ZERO), _BRIGHTEST)
+        of_light = np.uint32(mean * _BINS_OF_LEVEL)
+        blocks.place[j] = detail.octaves[blocks.place[j]] * np.uint32(NOISE_BINS) + of_light
+        blocks.lost[j] = detail.lost[blocks.place[j]]
+    for f in range(SIDE * SIDE):
+        for j in range(count):
+            blocks.lost[j] += detail.more[f, blocks.place[j]] * np.float32(blocks.kept[f, j])
+
+
+@_compiled
+def _spreads(
+    frame: NDArray[Any],
+    at: int,
+    detail: _Detail,
+    blocks: _Blocks,
+    of_chroma: Floats32,
+    found: Floats32,
+) -> None:
+    rows, columns, high = of_chroma.shape[2], of_chroma.shape[3], SIDE // 2
+    for first in range(0, rows, high):
+        _read(frame, 2 * first, blocks)
+        _transform(detail, blocks)
+        _lose(detail, blocks)
+        for j in range(len(blocks.lost)):
+            for c in range(high):
+                blocks.of_cells[high * j + c] = max(blocks.lost[j], _ZERO)
+        for k in range(3):
+            for row in range(first, min(first + high, rows)):
+                for c in range(columns):
+                    found[k, at, row, c] = np.sqrt(of_chroma[k, at, row, c] + blocks.of_cells[c])
+
+
+def spreads(
+    frames: Sequence[NDArray[Any]], details: Sequence[LostDetail], of_chroma: Floats32
+) -> Floats32:
+    """Return standard deviations of the errors that frames have in common, (3, n, rows, columns).
+
+    Args:
+        frames: (rows, columns, 3) of each
+        details: what the file of each loses besides
+        of_chroma: variance of the errors of colours, (3, n, rows, columns)
+    """
+    found = np.empty_like(of_chroma)
+    blocks = _Blocks.of(-(-frames[0].shape[1] // SIDE))
+    for at, (frame, detail) in enumerate(zip(frames, details, strict=True)):
+        planes = np.ascontiguousarray(np.moveaxis(frame, 2, 0))
+        _spreads(planes, at, _Detail.of(detail), blocks, of_chroma, found)
     return found
