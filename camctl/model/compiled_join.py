@@ -177,15 +177,17 @@ def _join(cells: Cells, tables: Tables, place: Place, of_light: int, shown: Floa
         counts = value <= top and not tables.clipped[at, of_light]
         mean = known = spread = _ZERO
         if weights > _ZERO:
-            mean = above / weights
-            is_bright = mean > full * _QUARTER
+            is_bright = above > full * _QUARTER * weights
             if counts and (is_bright or saturated):
+                mean = above / weights
                 known = np.sqrt(own + shared * shared) / weights
                 spread = np.sqrt(known * known + both)
                 too_dark = is_bright and sample < mean - reach * spread
                 counts = not (too_dark or mean - reach * known > full)
         elif saturated:
             counts = False
+        if not (counts or unseen):
+            continue
         if unseen or least > _ZERO:
             reached = reach * np.sqrt(both)
             counts = counts and sample + reached >= least

@@ -102,7 +102,7 @@ def share_chroma_errors(
     )
     beside, hidden = _beside_saturated(seen, spreads, tables[0].sensor.highest(None))
     for k, table in enumerate(tables):
-        small, is_large = _small_errors(table, spreads[k], lights[k])
+        small, is_large = _small_errors(compiled, table, spreads[k], lights[k])
         cells = Cells(seen[k], hidden, spreads[k], of_chroma[k], lights[k], deviations[k], small)
         lights[k], deviations[k] = _replaced(compiled, table, cells, beside | is_large, shape[1])
     for whole, planes in ((irradiance, lights), (deviation, deviations)):
@@ -140,9 +140,13 @@ def _replaced(
     found = CellsLight(light, deviation, common, np.zeros((2, *light.shape), np.float32))
     (compiled.join_cells if compiled else _join_cells)(tables, cells, chosen, mixed, found)
     shape = chosen.size // columns, columns
-    measured, expected = (
-        box_means(each.reshape(shape), _AROUND).ravel() for each in found.scatter.sum(axis=1)
+    scatter = np.stack(
+        [box_means(each.reshape(shape), _AROUND) for each in found.scatter.sum(axis=1)]
     )
+    measured, expected = scatter = scatter.reshape(2, -1)
+    if compiled is not None:
+        compiled.widen(scatter, chosen, _KNOWN, common, deviation)
+        return light, deviation
     ratio = np.sqrt((measured + _KNOWN) / (expected + _KNOWN))
     deviation *= np.where(chosen, ratio, np.float32(1))
     # Four times as fast as `np.hypot`; none of them is so small that its square vanishes.
@@ -235,13 +239,17 @@ def _beside_saturated(
 
 
 def _small_errors(
-    tables: LightTables, errors: NDArray[np.float32], light: Floats32
+    compiled: ModuleType | None,
+    tables: LightTables,
+    errors: NDArray[np.float32],
+    light: Floats32,
 ) -> tuple[Floats32, NDArray[np.bool_]]:
     """Return what errors of colours add to the deviation of cells where they are small beside it.
 
     The light of these stays: weights with such an error in them would hardly differ.
 
     Args:
+        compiled: does it in compiled code; None: numpy does
         tables: of the colour
         errors: standard deviations of the errors that frames have in common, levels, (n, cells)
         light: of the samples, (4, cells)
@@ -249,6 +257,9 @@ def _small_errors(
     Returns:
         standard deviation of their light by these errors, and the other cells, (cells,) each
     """
+    if compiled is not None:
+        common, deviation = compiled.small_errors(tables, errors, light, NOTABLE)
+        return common, np.square(common) > _SMALL * np.square(deviation)
     bins = tables.bins(light.mean(axis=0))
     common = np.zeros(bins.shape, np.float32)
     for weight, steps, error in zip(tables.weights, tables.steps, errors, strict=True):

@@ -24,10 +24,11 @@ from camctl.evidence.chroma import (
 from camctl.evidence.lost_detail import LEVELS, NOISE_BINS, OCTAVES, LostDetail, cosines
 from camctl.evidence.patches import SIDE
 from camctl.model.compiled_join import join_cells
-from camctl.model.light import Floats32
+from camctl.model.light import Floats32, LightTables
+from camctl.model.light_bins import DROPPED
 from camctl.system.compiled_functions import compiler
 
-__all__ = ["chroma_variance", "join_cells", "spreads"]
+__all__ = ["chroma_variance", "join_cells", "small_errors", "spreads", "widen"]
 
 _compiled = compiler(are_joined=True) or (lambda function: function)
 
@@ -40,7 +41,7 @@ _OF_RED, _OF_BLUE, _OF_BOTH = (
     np.float32(x) for x in (GREEN[0] ** 2, GREEN[1] ** 2, 2 * GREEN[0] * GREEN[1])
 )
 _FREE_CELLS, _FREE_DETAIL = (np.float32(16 / np.pi / x) for x in (OF_CELLS, OF_DETAIL))
-_NINTH = 1 / 9
+_NINTH, _DROPPED = 1 / 9, np.uint32(DROPPED)
 _MIDDLE, _BRIGHTEST, _IN_BLOCK = (np.float32(x) for x in (LEVELS / 2, LEVELS - 1, 1 / SIDE**2))
 _BINS_OF_LEVEL = np.float32(NOISE_BINS / LEVELS)
 #: Quantities whose means over 3 x 3 cells are needed.
@@ -361,3 +362,74 @@ def spreads(
         planes = np.ascontiguousarray(np.moveaxis(frame, 2, 0))
         _spreads(planes, at, _Detail.of(detail), blocks, of_chroma, found)
     return found
+
+
+@_compiled
+def _small_errors(
+    of_bins: Floats32,
+    ends: Floats32,
+    first: int,
+    errors: Floats32,
+    light: Floats32,
+    small: Floats32,
+) -> None:
+    notable = ends[2]
+    for c in range(small.shape[1]):
+        mean = (((light[0, c] + light[1, c]) + light[2, c]) + light[3, c]) * _QUARTER
+        inside = np.float32(min(max(mean, ends[0]), ends[1]))
+        place = np.uint32((inside.view(np.uint32) >> _DROPPED) - np.uint32(first))
+        found = _ZERO
+        for at in range(len(errors)):
+            error = errors[at, c]
+            found += of_bins[place, at] * (error if error * error > notable else _ZERO)
+        small[0, c], small[1, c] = found, of_bins[place, len(errors)]
+
+
+def small_errors(
+    tables: LightTables, errors: Floats32, light: Floats32, notable: float
+) -> Floats32:
+    """Return what errors of colours add to the deviation of cells, and that of these, (2, C).
+
+    Args:
+        tables: of the colour
+        errors: standard deviations of the errors that frames have in common, levels, (n, C)
+        light: of the samples, (4, C)
+        notable: square of an error from which on it counts
+    """
+    bins = tables.light_bins
+    of_bins = np.column_stack([*(tables.weights * tables.steps), tables.deviation])
+    ends = np.array([bins.least, bins.brightest, notable], np.float32)
+    found = np.empty((2, light.shape[1]), np.float32)
+    _small_errors(np.ascontiguousarray(of_bins), ends, bins.first, errors, light, found)
+    return found
+
+
+@_compiled
+def _widen(
+    scatter: Floats32,
+    chosen: NDArray[np.bool_],
+    known: np.float32,
+    common: Floats32,
+    found: Floats32,
+) -> None:
+    for c in range(len(chosen)):
+        ratio = np.sqrt((scatter[0, c] + known) / (scatter[1, c] + known))
+        ratio = ratio if chosen[c] else _ONE
+        for k in range(4):
+            own = found[k, c] * ratio
+            found[k, c] = np.sqrt(own * own + common[k, c] * common[k, c])
+
+
+def widen(
+    scatter: Floats32, chosen: NDArray[np.bool_], known: float, common: Floats32, found: Floats32
+) -> None:
+    """Replace deviations of cells by those of both kinds of errors.
+
+    Args:
+        scatter: of the frames around each cell, and what noise makes of it, (2, C)
+        chosen: cells whose own deviation follows that, (C,)
+        known: scatter that the noise is known from besides
+        common: deviation by errors that frames have in common, (4, C)
+        found: that by the others, likewise
+    """
+    _widen(scatter, chosen, np.float32(known), common, found)
