@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -195,52 +196,64 @@ class Target:
         here = slice(top - self.row, bottom - self.row)
         x = np.arange(low, high, dtype=np.float64)
         window = (x - first[:, np.newaxis], x - last[:, np.newaxis])
+        surface = np.atleast_3d(self.light[here])
+        layers = [surface[..., channel] * self.cover[here] for channel in range(surface.shape[2])]
+        covered, *lit = _sampled([self.cover[here], *layers], window)
         # Rounding of the means may leave 0 to 1 by an ulp, and light must not become negative.
-        cover = np.clip(_sampled(self.cover[here], window), 0.0, 1.0)
-        area = planes[top:bottom, low:high]
-        if planes.ndim == 2:
-            lit = np.maximum(_sampled(self.light[here] * self.cover[here], window), 0.0)
-            area[...] = lit + (1 - cover) * area
-            return
-        for channel in range(3):
-            lit = _sampled(self.light[here][..., channel] * self.cover[here], window)
-            lit = np.maximum(lit, 0.0)
-            area[..., channel] = lit + (1 - cover) * area[..., channel]
+        behind = 1 - np.clip(covered, 0.0, 1.0)
+        area = np.atleast_3d(planes[top:bottom, low:high])
+        for channel, light in enumerate(lit):
+            area[..., channel] = np.maximum(light, 0.0) + behind * area[..., channel]
 
 
-def _sampled(values: Light, window: Window) -> NDArray[np.float64]:
-    """Return means of each row of `values`, linear between pixels and 0 outside.
+def _sampled(layers: Sequence[Light], window: Window) -> list[NDArray[np.float64]]:
+    """Return means of each row of layers, (h, w) each, linear between pixels and 0 outside.
 
-    `window` is where each mean starts and ends, both (h, columns), in pixels of `values`.
+    `window` is where each mean starts and ends, both (h, columns), in pixels of the layers.
     """
-    padded = np.pad(values.astype(np.float64), [(0, 0), (1, 2)])
-    start, end = (np.clip(places + 1, 0, values.shape[1] + 1) for places in window)
+    padded = [np.pad(layer.astype(np.float64), [(0, 0), (1, 2)]) for layer in layers]
+    most = layers[0].shape[1] + 1
+    start, end = (np.clip(places + 1, 0, most) for places in window)
     # All means are over the same length; clipped ends lie in the padding, which is 0.
     travel = window[0] - window[1]
     if np.abs(travel).max() < _STANDING_PX:
-        return _interpolated(padded, (start + end) / 2)
-    below = np.zeros_like(padded)
-    np.cumsum((padded[:, 1:] + padded[:, :-1]) / 2, axis=1, out=below[:, 1:])
-    return (_integral(padded, below, start) - _integral(padded, below, end)) / travel
+        cells, part = _cells((start + end) / 2, padded[0].shape[1])
+        return [_interpolated(each, cells, part) for each in padded]
+    places = [_cells(each, padded[0].shape[1]) for each in (start, end)]
+    found = []
+    for each in padded:
+        below = np.zeros_like(each)
+        np.cumsum((each[:, 1:] + each[:, :-1]) / 2, axis=1, out=below[:, 1:])
+        first, last = (_integral(each, below, *one) for one in places)
+        found.append((first - last) / travel)
+    return found
 
 
-def _interpolated(padded: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the values of each row at `places`, linear between pixels."""
-    cell = places.astype(np.intp)
-    part = places - cell
-    left, right = (np.take_along_axis(padded, cell + k, axis=1) for k in (0, 1))
-    return left + part * (right - left)
+def _cells(places: NDArray[np.float64], width: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Return the numbers of the pixels below places in rows of so many, and the rest of each."""
+    cells = places.astype(np.intp)
+    part = places - cells
+    cells += np.arange(len(cells))[:, np.newaxis] * width
+    return cells, part
+
+
+def _interpolated(
+    padded: NDArray[np.float64], cells: NDArray[np.intp], part: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the values between pixels, linear."""
+    left, right = padded.take(cells), padded.take(cells + 1)
+    return np.asarray(left + part * (right - left))
 
 
 def _integral(
-    padded: NDArray[np.float64], below: NDArray[np.float64], places: NDArray[np.float64]
+    padded: NDArray[np.float64],
+    below: NDArray[np.float64],
+    cells: NDArray[np.intp],
+    part: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the integral of each row up to `places`; `below` is the integral up to each pixel."""
-    cell = places.astype(np.intp)
-    part = places - cell
-    left, right = (np.take_along_axis(padded, cell + k, axis=1) for k in (0, 1))
-    before = np.take_along_axis(below, cell, axis=1)
-    return np.asarray(before + part * left + part**2 / 2 * (right - left))
+    """Return the integral of each row up to places; `below` is the integral up to each pixel."""
+    left, right = padded.take(cells), padded.take(cells + 1)
+    return np.asarray(below.take(cells) + part * left + part**2 / 2 * (right - left))
 
 
 def _largest_step(values: Light) -> float:
