@@ -232,6 +232,12 @@ def _add_bow(dn: Light, top: np.float32, factor: np.float32) -> None:
         dn[i] += u * (_WHOLE - u / top) * factor
 
 
+def _add_lag(values: Light, ratio: np.float32, full: np.float32, lag: np.float32) -> None:
+    """Add the share `lag` of the charge before, `ratio` times this one and at most a full well."""
+    for i in range(values.size):
+        values[i] += min(values[i] * ratio, full) * lag
+
+
 _COLUMNS = 1 << 6  # columns in which charge flows at a time: their arrays stay in a cache of 1 MB
 
 
@@ -275,6 +281,7 @@ class Kernels:
     add_up: Callable[[Bits, Counts, Counts, Light, NDArray[np.int64]], None]
     add_bow: Callable[[Light, np.float32, np.float32], None]
     quantise: Callable[[Light, np.float32, np.float32, np.float32, NDArray[Any]], None]
+    add_lag: Callable[[Light, np.float32, np.float32, np.float32], None]
     bloom: Callable[[Light, NDArray[np.intp], float, float], None]
 
 
@@ -288,8 +295,8 @@ def load() -> Kernels | None:
     compiled = compiler()
     if compiled is None:
         return None
-    functions = (_add_noise, _draw, _look_up, _expand, _add_up, _add_bow, _quantise, _bloom)
-    kernels = Kernels(*(compiled(function) for function in functions))
+    functions = (_add_noise, _draw, _look_up, _expand, _add_up, _add_bow, _quantise)
+    kernels = Kernels(*(compiled(each) for each in (*functions, _add_lag, _bloom)))
     light, table = np.ones(1, np.float32), np.ones(1 << 16, np.float32)
     table.setflags(write=False)
     kernels.add_noise(np.ones(4, np.uint64), table, light, False)
@@ -303,6 +310,7 @@ def load() -> Kernels | None:
     kernels.add_bow(light, _TWO, _ZERO)
     for dtype in (np.uint8, np.uint16):
         kernels.quantise(light, _TWO, _ZERO, _TWO, np.empty(1, dtype))
+    kernels.add_lag(light, _ZERO, _TWO, _ZERO)
     kernels.bloom(np.ones((1, 1), np.float32), np.zeros(1, np.intp), 1.0, 0.5)
     return kernels
 

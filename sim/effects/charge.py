@@ -42,10 +42,15 @@ def _prnu_change(shot: Shot) -> Change:
 
 def _lag(tile: Tile) -> None:
     # The frame before was of the same scene: its charge is this one's, scaled by exposure time.
-    shot = tile.shot
-    before = np.multiply(tile.values, np.float32(shot.lag_ratio))
-    np.clip(before, _NO_LOWER_LIMIT, np.float32(shot.sensor.full_well_e), out=before)
-    np.multiply(before, np.float32(shot.sensor.pixels.lag), out=before)
+    shot, sensor = tile.shot, tile.shot.sensor
+    ratio, full = np.float32(shot.lag_ratio), np.float32(sensor.full_well_e)
+    lag = np.float32(sensor.pixels.lag)
+    if tile.noise.kernels is not None:
+        tile.noise.kernels.add_lag(tile.values, ratio, full, lag)
+        return
+    before = np.multiply(tile.values, ratio)
+    np.clip(before, _NO_LOWER_LIMIT, full, out=before)
+    np.multiply(before, lag, out=before)
     np.add(tile.values, before, out=tile.values)
 
 

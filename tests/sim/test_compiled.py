@@ -129,4 +129,4 @@ def test_without_a_folder_for_machine_code_it_is_made_anew(monkeypatch: pytest.M
     monkeypatch.setattr(numba, "njit", njit)
     with np.errstate(over="ignore"):
         assert load.__wrapped__() is not None
-    assert asked == [True, False] * 8
+    assert asked == [True, False] * 9
