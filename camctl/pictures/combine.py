@@ -118,15 +118,7 @@ def combine(
     top = white_level(pictures[0].dtype, response, black, white)
     responses = channel_responses(response, black, top)
     kind = frame_layout(pictures[0].shape, len(responses), layout)
-    # Also without a layout the frames may be a mosaic: neighbours of one colour make a patch.
-    planes = Layout.RGGB.planes if kind is Layout.MONO else kind.planes
-    samples = [sample_patches(planes(each), top) for each in pictures]
-    steps: Steps = "measure"
-    if kind is Layout.MONO and top == LEVELS - 1:
-        blocks = [sample_patches([each], top) for each in pictures]
-        steps = file_steps(blocks, 1)
-        if steps is not None:  # no file of a mosaic has them
-            samples = blocks
+    samples, steps = _sampled(pictures, kind, top)
     black, responses, findings = _levels(samples, relative, kind, responses, black, top)
     samples = [np.minimum(each, black + responses[0].M) for each in samples]
     known = None if noise is None else known_noise(noise, exposures, black)
@@ -155,6 +147,20 @@ def combine(
     if (unknown := float(np.isnan(found.sd).mean())) > 0:
         findings.append(Finding(code="noise_unknown", value=unknown))
     return replace(found, findings=tuple(findings))
+
+
+def _sampled(pictures: list[NDArray[Any]], kind: Layout, top: int) -> tuple[list[Patches], Steps]:
+    """Return patches of the frames, and the steps of their files where those are looked for here.
+
+    Also without a layout the frames may be a mosaic: neighbours of one colour make a patch.
+    """
+    planes = Layout.RGGB.planes if kind is Layout.MONO else kind.planes
+    samples = [sample_patches(planes(each), top) for each in pictures]
+    if kind is not Layout.MONO or top != LEVELS - 1:
+        return samples, "measure"
+    blocks = [sample_patches([each], top) for each in pictures]
+    steps = file_steps(blocks, 1)
+    return samples if steps is None else blocks, steps  # no file of a mosaic has them
 
 
 def _combined(light: FrameLight, pictures: list[NDArray[Any]], black: int) -> Combination:
