@@ -200,3 +200,14 @@ def test_a_list_up_to_the_longest_time_makes_few_sets(count: int, gain: Control)
     assert math.comb(number - 1, count - 1) <= 400 or number == count
     assert max(found.time_s.values) == pytest.approx(0.1)
     assert max(found.gain.values) == gain.maximum
+
+
+def test_what_is_known_of_all_exposures_is_not_searched_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The user waits: for 12 bits a full search takes 45 s, and found no better set."""
+    monkeypatch.setattr("camctl.exposure.grid_search.solve", None)
+    controls = replace(controls_of(TIMES["thirds"], GAINS[0], None), bits=12, white=4095)
+    request = CaptureRequest("log", 520.0, 5, base_s=2.0**-8, objective="xi")
+    chosen = Search(controls, request).best(controls, None)
+    assert len(chosen.settings) == 5

@@ -337,7 +337,7 @@ def _settings_by_xi(
         if isinstance(listed.time_s, Choices):
             if request.base_s is None:  # a metered base is shortened until enough exposures follow
                 limit_s = min(limit_s, longest_base_on_list(listed, count))
-            found = search_choices(listed, request, desired, count, limit_s)
+            found = search_choices(listed, request, desired, count, limit_s, ratios)
             return found, controls.relative_exposures(found) if is_beyond else ratios
     return chooser.best(limit_s, evaluations), ratios
 

@@ -16,8 +16,9 @@ from typing import TypeAlias
 from camctl.errors import CaptureError, UsageError
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.grid_search import solve_settings
-from camctl.exposure.objective import Objective
+from camctl.exposure.objective import ExposureProblem, Objective
 from camctl.exposure.settings_grid import SAME, SettingsGrid
+from camctl.exposure.solver import Solution
 from camctl.interface.controls import Choices, Control, ExposureControls, ExposureSetting
 from camctl.model.response.desired import DesiredResponse
 
@@ -345,11 +346,13 @@ def search_choices(
     desired: DesiredResponse,
     count: int,
     limit_s: float,
+    ratios: tuple[float, ...] | None = None,
 ) -> tuple[ExposureSetting, ...]:
     """Return the best set on a list of shutter times: searched there, not rounded from a table.
 
     Gain extends the longest time.  The shortest exposure is the longest time on the list that
-    `limit_s` allows, or one up to a third of a stop below it.
+    `limit_s` allows, or one up to a third of a stop below it.  The search begins near `ratios`, the
+    best of all exposures, which are searched first where they are not known.
 
     Raises:
         UsageError: the list is shorter than `count`, or a time budget is too short
@@ -384,12 +387,17 @@ def search_choices(
             f"{total_s:.4g} s that the time budget leaves for shutter times",
             hint="allow more time, or take fewer exposures",
         )
+    objective, ideal = Objective(request.levels_wanted), None
+    if ratios is not None:
+        problem = ExposureProblem(controls.levels, desired, count, objective)
+        ideal = Solution.of(problem, ratios)
     found = solve_settings(
         controls.levels,
         desired,
         count,
         SettingsGrid(exposures, base=(least_s, base_s), total_limit=total_s),
-        objective=Objective(request.levels_wanted),
+        objective=objective,
+        ideal=ideal,
     )
     # The search merges settings of one exposure; each of its values is one of `available`.
     return tuple(
