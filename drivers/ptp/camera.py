@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic import Field
 
-from camctl.drivers.common.known_format import KnownFormat, has_size, saved_format
+from camctl.drivers.common.known_format import FORMATS, KnownFormat, has_size, saved_format
 from camctl.drivers.common.still_camera import TEST_PICTURE_S, StillCamera, StillOptions
 from camctl.drivers.common.usb import device_name, usb_identity
 from camctl.drivers.ptp.body import Body
@@ -206,10 +206,16 @@ class PtpCamera(StillCamera):
     # ---- the format of its files
 
     def _find_format(self) -> KnownFormat:
-        """Return the format from the newest picture on the card, the profile, or a test picture."""
+        """Return the format from the newest picture on the card, the profile, or a test picture.
+
+        The newest picture may be older than the camera's quality setting: one that is not raw
+        decides what the camera makes only where such files of it are known.
+        """
         size = self._body.image_size()
         for picture in newest_pictures(self._body, self._format_name)[:_MAX_PICTURES_READ]:
             known = saved_format(self.info, picture.format)
+            if known is None and self._format_name is None and picture.format != FORMATS[0]:
+                return self._format_of_test()
             if known is None or not has_size(known, size):
                 known = self._format_in(picture)
             if known is not None and has_size(known, size):
@@ -217,6 +223,9 @@ class PtpCamera(StillCamera):
         known = saved_format(self.info, self._format_name)
         if known is not None and has_size(known, size):
             return known
+        return self._format_of_test()
+
+    def _format_of_test(self) -> KnownFormat:
         picture = self._take_test_picture()
         return self._learnt(picture.format, self._read(picture))
 

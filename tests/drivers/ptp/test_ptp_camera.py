@@ -121,10 +121,10 @@ class TestFileFormat:
             assert not any("one picture was taken" in note for note in camera.controls.notes)
             assert pair.device.body.taken == 1
 
-    def test_a_picture_on_the_card_replaces_the_test_picture(
+    def test_a_raw_file_on_the_card_replaces_the_test_picture(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        pair = bench(files="tiff")
+        pair = bench("ideal-12", files="dng")
         with pair.camera() as camera:
             shoot(camera, settings_at(camera, 1 / 125))
             taken = pair.device.body.taken
@@ -132,6 +132,19 @@ class TestFileFormat:
         with pair.camera() as camera:
             assert camera.controls.shape == (24, 32)
             assert pair.device.body.taken == taken
+
+    def test_a_jpeg_on_the_card_does_not_hide_that_raw_files_are_saved(self) -> None:
+        """It was taken before the quality was set to raw, or its raw file was deleted."""
+        pair = bench("ideal-12", files="dng+jpeg")
+        card = pair.device.responder.card
+        with pair.camera(format="jpeg") as camera:
+            shoot(camera, settings_at(camera, 1 / 125))
+            for each in [each for each, file in card.objects.items() if ".DNG" in file.name]:
+                del card.objects[each]
+            change_profile(camera.info, lambda profile: profile.stills.clear())
+        with pair.camera() as camera:
+            assert camera.controls.bits == 12
+            assert camera.controls.response_origin is ResponseOrigin.STATED
 
     def test_a_wrong_profile_is_corrected_by_the_first_file(self) -> None:
         with camera_on() as (camera, _):
