@@ -7,6 +7,7 @@ brightness.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -163,8 +164,8 @@ def fitted_model(part: PatchErrors, prediction: Prediction) -> Prediction:
     factor = _trimmed_median(part.variance / (part.own + part.shared), scatter)
     factor = max(factor, 1.0)
     variance = factor * part.own / part.count + part.shared
-    # Dark patches show light that is added to all, as smear and stray light are; bright ones show
-    # the ratio.
+    # Dark patches show light that is added to all: the error of black, smear and stray light.
+    # Bright ones show the ratio.
     offset = _within(weighted_median(part.error, 1 / variance), MOST_OFFSET)
     lit = part.light > 0
     ratios = (part.error - offset)[lit] / part.light[lit]
@@ -172,14 +173,25 @@ def fitted_model(part: PatchErrors, prediction: Prediction) -> Prediction:
         weighted_median(ratios, np.square(part.light[lit]) / variance[lit]), TRIM * RESPONSE_ERROR
     )
     errors = part.error - offset - correction * part.light
-    variance = variance + offset**2 + np.square(RESPONSE_ERROR * part.light)
-    more = (median(np.abs(errors) / np.sqrt(variance)) / NORMAL_MAD) ** 2
-    more = max(more, 1.0)
-    own, shared = factor * prediction.own, prediction.shared + offset**2
-    # What means scatter more is shared by neighbours, as the noise of a row is.
+    # Beyond the error of black, which is uniform up to sqrt(3) times its deviation, it may be
+    # smear, of which parts of the picture have more.
+    smear = max(0.0, abs(offset) - math.sqrt(3) * prediction.black_error)
+    variance = variance + smear**2 + np.square(RESPONSE_ERROR * part.light)
+    # What means scatter more is shared by neighbours, as the noise of a row and an error of the
+    # response at a brightness are.
+    order = np.argsort(part.brightness, kind="stable")
+    count = min(MOST_BINS, part.size // LEAST_PATCHES)
+    scattered = np.array_split((np.abs(errors) / np.sqrt(variance))[order], count)
+    places = [median(each) for each in np.array_split(part.brightness[order], count)]
+    squares = [max(1.0, (median(each) / NORMAL_MAD) ** 2) for each in scattered]
+    more = np.interp(np.arange(prediction.mean.size), places, squares)
+    own, shared = factor * prediction.own, prediction.shared + smear**2
     shared = shared + (more - 1) * (own / MEAN_SAMPLES + shared)
     mean = prediction.mean * (1 + correction) + offset
-    return replace(prediction, mean=mean, own=own, shared=shared)
+    # The variance of the median of normal variables is pi / 2 times that of their mean.
+    error = math.sqrt(math.pi / 2 / float(np.sum(1 / variance)))
+    error = min(error, prediction.black_error)
+    return replace(prediction, mean=mean, own=own, shared=shared, black_error=error)
 
 
 def _within(value: float, most: float) -> float:
@@ -217,6 +229,7 @@ def fitted_tables(part: PatchErrors, prediction: Prediction) -> Prediction:
         mean=prediction.mean + bias * np.maximum(prediction.mean, np.sqrt(least)),
         own=np.maximum(own * least, prediction.own),
         shared=np.maximum(shared * least, prediction.shared),
+        black_error=0.0,  # the mean errors hold it
     )
 
 

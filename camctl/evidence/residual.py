@@ -15,7 +15,7 @@ their weight by iterated trimming.  Photographs have errors at edges besides: se
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -37,7 +37,6 @@ from camctl.model.sensor import (
     CLIPPING_SIGMAS,
     JPEG_BLOCK_ERROR,
     RESPONSE_ERROR,
-    Prediction,
     SensorModel,
 )
 from camctl.system.picture_operations import opencv
@@ -127,8 +126,12 @@ class Pair:
         fits = [fit(part, prediction) for part in self._parts]
         fits = fits * (self.colours // len(fits))
         mean, own, shared, skewness = (
-            np.stack([getattr(each, field.name) for each in fits]) for field in fields(Prediction)
+            np.stack(tables)
+            for tables in zip(
+                *((each.mean, each.own, each.shared, each.skewness) for each in fits), strict=True
+            )
         )
+        shared = shared + np.square([[each.black_error] for each in fits])
         if self.is_processed:
             block = JPEG_BLOCK_ERROR / 255 * self.sensor.white * self.sensor.step(mean)
             shared = np.maximum(shared, np.square(block))

@@ -61,12 +61,15 @@ class Prediction:
         own: variance of its light that is independent from sample to sample
         shared: variance that neighbouring samples of one brightness have in common
         skewness: of its light
+        black_error: standard deviation of what all samples have in common, since the black level is
+            a whole number
     """
 
     mean: FloatArray
     own: FloatArray
     shared: FloatArray
     skewness: FloatArray
+    black_error: float
 
 
 class SensorModel:
@@ -202,5 +205,6 @@ class SensorModel:
         roundings = self.rounding(mean, noise[0]), self.rounding(self.light, noise[1])
         own += roundings[0][0] + roundings[1][0] / square
         shared = roundings[0][1] + roundings[1][1] / square
-        shared += (BLACK_ERROR_LEVELS * self.level * (1 - 1 / ratio)) ** 2
-        return Prediction(mean, own, shared, third / np.maximum(own + shared, 1e-200) ** 1.5)
+        skewness = third / np.maximum(own + shared, 1e-200) ** 1.5
+        black_error = BLACK_ERROR_LEVELS * self.level * abs(1 - 1 / ratio)
+        return Prediction(mean, own, shared, skewness, black_error)

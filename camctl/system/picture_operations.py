@@ -354,17 +354,19 @@ def box_means(values: NDArray[Any], radius: int) -> Kernel:
 
 
 def box_sums(values: NDArray[np.int16], radius: int) -> NDArray[np.int16]:
-    """Return the sums over squares of 2 radius + 1 pixels a side, borders mirrored.
+    """Return the sums over squares of 2 radius + 1 pixels a side, which are 0 outside.
 
     They must fit into 16 bits.
     """
     side = 2 * radius + 1
     if (cv2 := opencv()) is not None:
         found = cv2.boxFilter(
-            values, -1, (side, side), normalize=False, borderType=cv2.BORDER_REFLECT
+            values, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT
         )
         return np.asarray(found, np.int16).reshape(values.shape)
-    return np.rint(box_means(values, radius) * side**2).astype(np.int16)
+    padded = np.pad(values, [(radius, radius)] * 2 + [(0, 0)] * (values.ndim - 2))
+    sums = np.rint(box_means(padded, radius) * side**2).astype(np.int16)
+    return sums[radius:-radius, radius:-radius]
 
 
 def correlated(values: Kernel, kernel: NDArray[Any], *, repeats_border: bool) -> Kernel:

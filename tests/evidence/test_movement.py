@@ -286,6 +286,50 @@ def test_a_thing_of_sixty_pixels_is_found_whether_noise_is_known_or_not(
     assert marks.mean() < FALSE_ALARMS
 
 
+def pair_of(frames: list[Pixels], exposures: tuple[float, float], noise: FrameNoise) -> Pair:
+    check = NeighbourCheck(linear_response(8, phase=0.5, levels=239), 16)
+    samples = check.sample(frames[0]).patches, check.sample(frames[1]).patches
+    sides = [Side(k, each, noise) for k, each in enumerate(exposures)]
+    return Pair(check.scale, sides[0], sides[1], exposures[1] / exposures[0], samples)
+
+
+@pytest.mark.parametrize("black", [15.6, 16.0, 16.4])
+def test_dark_things_are_found_whatever_the_fraction_of_the_black_level_is(black: float) -> None:
+    """Black is a whole number: by how much it is wrong, the frames show, and the limits follow."""
+    rng, thing = np.random.default_rng(7), (slice(90, 150), slice(20, 100))
+    light = np.broadcast_to(np.geomspace(0.003, 0.1, 320), (240, 320))
+    frames: list[Pixels] = []
+    for exposure in (1.0, 8.0):
+        levels = light * exposure * 239
+        if exposure == 1:
+            levels = levels.copy()
+            levels[thing] += 1.2
+        levels = rng.poisson(levels * 100) / 100 + rng.normal(0, 0.8, levels.shape)
+        frames.append(np.clip(np.rint(levels + black), 0, 255).astype(np.uint8))
+    pair = pair_of(frames, (1.0, 8.0), FrameNoise(100.0, 0.8))
+    movement = find_movement(rows_of(frames), frames[0].shape, [pair])
+    assert movement is not None
+    marks = movement.rows(0, 240) > 0
+    assert marks[thing].mean() > 0.45
+    marks[86:154, 16:104] = False
+    assert marks.mean() < FALSE_ALARMS
+
+
+def test_borders_have_no_more_false_alarms_than_the_rest() -> None:
+    rng, marks = np.random.default_rng(8), []
+    for _ in range(20):
+        frames: list[Pixels] = [
+            np.rint(16 + each + rng.normal(0, 2, (120, 160))).astype(np.uint8) for each in (10, 40)
+        ]
+        pair = pair_of(frames, (1.0, 4.0), FrameNoise(1e6, 2.0))
+        movement = find_movement(rows_of(frames), frames[0].shape, [pair])
+        assert movement is not None
+        marks.append(movement.rows(0, 120) > 0)
+    border = np.ones((120, 160), np.bool_)
+    border[2:-2, 2:-2] = False
+    assert np.mean([each[border].mean() for each in marks]) < FALSE_ALARMS
+
+
 @pytest.mark.parametrize(
     ("is_plain", "moves"),
     [
