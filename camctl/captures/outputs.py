@@ -19,6 +19,7 @@ from camctl.captures.advice import range_findings, spread_findings
 from camctl.captures.frame_checks import FrameChecks
 from camctl.captures.metering import BLACK_SHARE, OUTLIER_SHARE
 from camctl.captures.true_exposures import relative
+from camctl.evidence.lost_detail import stated_steps
 from camctl.evidence.movement import Movement, find_movement
 from camctl.evidence.noise import measure_noise
 from camctl.exposure.evaluation import evaluate
@@ -272,6 +273,7 @@ def _light(shot: _Shot, checks: FrameChecks, controls: ExposureControls) -> Fram
         gains=shot.gains,
         prior=shot.desired,
         few_chroma_samples=any(each.details.get(FEW_CHROMA_SAMPLES) for each in shot.frames),
+        stated_steps=stated_steps([each.details for each in shot.frames]),
     )
 
 

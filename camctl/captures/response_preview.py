@@ -20,6 +20,7 @@ from camctl.captures.metering import LARGEST_STEP, WAITED_S, meter_light
 from camctl.captures.plan import plan_capture
 from camctl.captures.response_sheet import PANEL_WIDTH, Panel, response_sheet
 from camctl.errors import CaptureError, UsageError
+from camctl.evidence.lost_detail import stated_steps
 from camctl.evidence.patches import sample_patches
 from camctl.exposure.goal import AUTO, CaptureRequest
 from camctl.exposure.search.settings import relative_exposures
@@ -117,6 +118,7 @@ class PreviewedLight:
             gains=[each.gain for each in settings],
             prior=desired,
             few_chroma_samples=any(each.details.get(FEW_CHROMA_SAMPLES) for each in frames),
+            stated_steps=stated_steps([each.details for each in frames]),
         )
         rendering = Rendering(
             controls.layout,

@@ -14,7 +14,7 @@ is kept: it leaves errors that frames have not in common.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, Literal, TypeAlias
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from camctl.evidence.chroma import NOISE_OF_Y, patch_brightness
 from camctl.evidence.patches import SIDE, Patches
+from camctl.interface.layout import BRIGHTNESS_STEPS
 
 Floats = NDArray[np.float64]
 
@@ -124,15 +125,25 @@ class LostDetail:
         return self.of(blocks.reshape(-1, SIDE, SIDE)).reshape(rows, columns)
 
 
-def file_steps(samples: Sequence[Patches], colours: int) -> Floats | None:
-    """Return the steps of the frequencies of brightness in files, levels; None if none are seen.
+def stated_steps(details: Iterable[Mapping[str, Any]]) -> Floats | None:
+    """Return the steps that the files of frames state, by their details, if all have the same."""
+    stated = {tuple(each.get(BRIGHTNESS_STEPS, ())) for each in details}
+    steps = stated.pop() if len(stated) == 1 else ()
+    return np.asarray(steps, np.float64) if len(steps) == SIDE * SIDE else None
+
+
+def file_steps(
+    samples: Sequence[Patches], colours: int, stated: Floats | None = None
+) -> Floats | None:
+    """Return the steps of the frequencies of brightness in files, levels; None if none are known.
 
     Args:
         samples: patches of each frame of 8 bits, see `sample_patches`
         colours: 1, or 3
+        stated: those that the files state, which count where none are seen
     """
     if samples[0].shape[1] != SIDE * SIDE:
-        return None
+        return stated
     every = max(1, len(samples) * len(samples[0]) // colours // _BLOCKS)
     found = []
     for patches in samples:
@@ -142,7 +153,8 @@ def file_steps(samples: Sequence[Patches], colours: int) -> Floats | None:
         is_grey = colours == 1
         blocks = some.reshape(-1, SIDE, SIDE) if is_grey else patch_brightness(some)
         found.append(frequencies(blocks.astype(np.float32, copy=False)))
-    return quantisation(found)
+    seen = quantisation(found)
+    return stated if seen is None else seen
 
 
 def quantisation(frames: Sequence[NDArray[np.float32]]) -> Floats | None:

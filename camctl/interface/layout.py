@@ -15,6 +15,10 @@ FEW_CHROMA_SAMPLES = "few_chroma_samples"
 """Detail of frames whose files state fewer samples of the differences of colours than of
 brightness, as JPEG files of 4:2:0 and 4:2:2 do."""
 
+BRIGHTNESS_STEPS = "brightness_steps"
+"""Detail of frames from JPEG files: what the 64 frequencies of brightness of a block are multiples
+of, row by row, levels."""
+
 
 class Layout(StrEnum):
     """Pixel layout of a frame: monochrome, RGB, or the first four letters of a CFA pattern."""

@@ -7,8 +7,8 @@ and the frames are summed, checked and rendered by the same code.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any
 
@@ -16,7 +16,7 @@ from camctl.findings import Detail, Finding
 from camctl.interface.camera import CameraBase, CameraInfo, Frame, Pixels
 from camctl.interface.clock import RealClock
 from camctl.interface.controls import Choices, ExposureControls, ExposureSetting
-from camctl.interface.layout import FEW_CHROMA_SAMPLES
+from camctl.interface.layout import BRIGHTNESS_STEPS
 
 #: Id and driver of this camera.
 _ID = "photographs"
@@ -46,7 +46,7 @@ class Photograph:
         taken_at: when it was taken; None where that is not stated
         iso: ISO speed as stated; None where it is not
         flash_fired: whether the flash did; None where it is not stated
-        few_chroma_samples: as of `Still`
+        file_details: as `Still` has them
     """
 
     name: str
@@ -56,7 +56,13 @@ class Photograph:
     taken_at: datetime | None = None
     iso: float | None = None
     flash_fired: bool | None = None
-    few_chroma_samples: bool = False
+    file_details: Mapping[str, Any] = field(default_factory=dict)
+
+    def without_blocks(self) -> Photograph:
+        """Return it as it is where the blocks of its file are not in their places."""
+        details = dict(self.file_details)
+        details.pop(BRIGHTNESS_STEPS, None)
+        return replace(self, file_details=details)
 
     @property
     def setting(self) -> ExposureSetting:
@@ -130,15 +136,15 @@ def with_all_stated(
     result has a finding for each, about the photographs that state nothing.
     """
     found, notes = list(photographs), []
-    for what, field, default in (("ISO", "iso", 100.0), ("f-number", "f_number", 1.0)):
-        values = [getattr(each, field) for each in found]
+    for what, attribute, default in (("ISO", "iso", 100.0), ("f-number", "f_number", 1.0)):
+        values = [getattr(each, attribute) for each in found]
         silent = tuple(k for k, value in enumerate(values) if not value)
         stated = set(filter(None, values))
         if not silent or not stated:
             continue
         value = stated.pop() if len(stated) == 1 else default
-        changes: dict[str, Any] = {field: value}
-        if field == "iso":
+        changes: dict[str, Any] = {attribute: value}
+        if attribute == "iso":
             changes["gain"] = value / 100
         for k in silent:
             found[k] = replace(found[k], **changes)
@@ -251,13 +257,11 @@ class PhotographCamera(CameraBase):
     def _frame(self, setting: ExposureSetting, index: int, load: Callable[[int], Pixels]) -> Frame:
         (position,) = self.chosen([setting])
         controls, photograph = self.controls, self.photographs[position]
-        details: dict[str, str | float] = {"file": photograph.name}
+        details: dict[str, Any] = {"file": photograph.name, **photograph.file_details}
         if photograph.iso is not None:
             details["iso"] = photograph.iso
         if photograph.taken_at is not None:
             details["taken_at"] = photograph.taken_at.isoformat()
-        if photograph.few_chroma_samples:
-            details[FEW_CHROMA_SAMPLES] = True
         return Frame(
             load(position),
             setting,

@@ -42,7 +42,7 @@ def _photograph(
     gain, iso = stated.gain or 1.0, None if stated.gain is None else round(100 * stated.gain, 6)
     name = visible(path.name)
     exposure = time_s, gain, stated.f_number, stated.taken_at, iso, stated.flash_fired
-    return Photograph(name, *exposure, few_chroma_samples=still.few_chroma_samples)
+    return Photograph(name, *exposure, file_details=still.details)
 
 
 @dataclass(frozen=True)

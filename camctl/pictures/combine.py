@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from camctl.errors import unknown_name
 from camctl.evidence.light_ratio import FrameSample, NeighbourCheck
-from camctl.evidence.lost_detail import LEVELS, Steps, file_steps
+from camctl.evidence.lost_detail import LEVELS, Floats, Steps, file_steps
 from camctl.evidence.movement import Movement, find_movement
 from camctl.evidence.patches import Patches, sample_patches
 from camctl.evidence.residual import Pair, Side
@@ -33,6 +33,7 @@ from camctl.pictures.combine_arguments import (
     checked_frames,
     frame_layout,
     known_noise,
+    known_steps,
     white_level,
 )
 from camctl.pictures.frame_light import FrameLight, Part, frame_light, parts_of
@@ -82,6 +83,7 @@ def combine(
     layout: Layout | str | None = None,
     method: str = "likelihood",
     few_chroma_samples: bool = False,
+    brightness_steps: Sequence[float] | None = None,
 ) -> Combination:
     """Return the irradiance that frames of one scene at several exposures show.
 
@@ -105,6 +107,8 @@ def combine(
             decides; "sum": the posterior mean after the sum of the frames, as in the paper
         few_chroma_samples: colours differ from brightness by fewer samples than it has, as in JPEG
             files of 4:2:0 and 4:2:2; False: the frames show whether they do, if they are sharp
+        brightness_steps: of JPEG files, all of one table: what the 64 frequencies of brightness are
+            multiples of, row by row; they count where the frames do not show them
 
     Raises:
         UsageError: an argument does not fit the others
@@ -118,7 +122,8 @@ def combine(
     top = white_level(pictures[0].dtype, response, black, white)
     responses = channel_responses(response, black, top)
     kind = frame_layout(pictures[0].shape, len(responses), layout)
-    samples, steps = _sampled(pictures, kind, top)
+    stated = None if brightness_steps is None else known_steps(brightness_steps)
+    samples, steps = _sampled(pictures, kind, top, stated)
     black, responses, findings = _levels(samples, relative, kind, responses, black, top)
     samples = [np.minimum(each, black + responses[0].M) for each in samples]
     known = None if noise is None else known_noise(noise, exposures, black)
@@ -132,6 +137,7 @@ def combine(
         unit=shortest,
         method=method,
         steps=steps,
+        stated_steps=stated,
         few_chroma_samples=few_chroma_samples,
     )
     found = _combined(light, pictures, black)
@@ -149,7 +155,9 @@ def combine(
     return replace(found, findings=tuple(findings))
 
 
-def _sampled(pictures: list[NDArray[Any]], kind: Layout, top: int) -> tuple[list[Patches], Steps]:
+def _sampled(
+    pictures: list[NDArray[Any]], kind: Layout, top: int, stated: Floats | None
+) -> tuple[list[Patches], Steps]:
     """Return patches of the frames, and the steps of their files where those are looked for here.
 
     Also without a layout the frames may be a mosaic: neighbours of one colour make a patch.
@@ -159,7 +167,7 @@ def _sampled(pictures: list[NDArray[Any]], kind: Layout, top: int) -> tuple[list
     if kind is not Layout.MONO or top != LEVELS - 1:
         return samples, "measure"
     blocks = [sample_patches([each], top) for each in pictures]
-    steps = file_steps(blocks, 1)
+    steps = file_steps(blocks, 1, stated)
     return samples if steps is None else blocks, steps  # no file of a mosaic has them
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from camctl.errors import DataError, UsageError, unknown_name
+from camctl.evidence.patches import SIDE
 from camctl.interface.controls import Layout
 from camctl.model.effective import check_ratio
 from camctl.model.noise import FrameNoise, NoiseModel
@@ -120,6 +121,14 @@ def known_noise(noise: Noise, exposures: Sequence[float], black: int) -> tuple[F
             "or a FrameNoise for each frame"
         )
     return tuple(replace(each, black=black) for each in given)
+
+
+def known_steps(steps: Sequence[float]) -> NDArray[np.float64]:
+    """Return the steps of the frequencies of brightness in JPEG files."""
+    found = np.asarray(steps, np.float64)
+    if found.shape != (SIDE * SIDE,) or not found.min() > 0:
+        raise UsageError(f"invalid brightness_steps: expected {SIDE * SIDE} numbers above 0")
+    return found
 
 
 def frame_layout(shape: Sequence[int], count: int, layout: Layout | str | None) -> Layout:

@@ -294,6 +294,7 @@ def frame_light(
     method: str = "likelihood",
     prior: DesiredResponse | None = None,
     steps: Steps = "measure",
+    stated_steps: NDArray[np.float64] | None = None,
     few_chroma_samples: bool = False,
 ) -> FrameLight:
     """Return what estimates the light of frames.
@@ -310,6 +311,7 @@ def frame_light(
         prior: what a sum is inverted with; None: all light is equally probable
         steps: of the frequencies of brightness in the files of the frames, levels; None: there are
             none; "measure": `samples` show them
+        stated_steps: those that the files state, where `samples` do not show them; None: none
         few_chroma_samples: whether files state that they have fewer samples of the differences of
             colours than of brightness; where none does, `samples` show whether they have
     """
@@ -324,7 +326,7 @@ def frame_light(
     if is_sum or (plain is None and len(parts) > 1) or black + parts[0].response.M != LEVELS - 1:
         steps = None
     if isinstance(steps, str):
-        steps = file_steps(samples, len(parts))
+        steps = file_steps(samples, len(parts), stated_steps)
     responses = [each.response for each in parts]
     files = file_roundings(steps, responses, samples, black)
     fits: list[NoiseFit | None] = [None] * len(parts)

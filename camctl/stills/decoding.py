@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from camctl.errors import CameraProtocolError, UsageError
 from camctl.interface.colour import BT709_PRIMARIES, D65, CameraColour, rgb_to_xyz
-from camctl.interface.layout import FEW_CHROMA_SAMPLES, Layout, Pixels
+from camctl.interface.layout import BRIGHTNESS_STEPS, FEW_CHROMA_SAMPLES, Layout, Pixels
 from camctl.stills.colour import stated_colour
 from camctl.stills.exif import PNG, png_chunks
 from camctl.stills.jpeg import CUT_SHORT, JpegStructure
@@ -78,6 +78,8 @@ class Still:
         invalid: which pixels its alpha channel leaves out, (rows, columns); None: none
         few_chroma_samples: whether it states fewer samples of the differences of colours than of
             brightness, as JPEG files of 4:2:0 and 4:2:2 do
+        brightness_steps: what the 64 frequencies of brightness of a block are multiples of in it,
+            row by row, levels; empty where there are none
     """
 
     pixels: Pixels
@@ -89,11 +91,13 @@ class Still:
     colour: CameraColour | None = None
     invalid: NDArray[np.bool_] | None = None
     few_chroma_samples: bool = False
+    brightness_steps: tuple[int, ...] = ()
 
     @property
-    def details(self) -> dict[str, bool]:
+    def details(self) -> dict[str, Any]:
         """What `Frame.details` has of it."""
-        return {FEW_CHROMA_SAMPLES: True} if self.few_chroma_samples else {}
+        few = {FEW_CHROMA_SAMPLES: True} if self.few_chroma_samples else {}
+        return few | ({BRIGHTNESS_STEPS: self.brightness_steps} if self.brightness_steps else {})
 
     @property
     def record(self) -> StillRecord:
@@ -212,7 +216,11 @@ def _read_jpeg(data: bytes, name: str) -> Still:
         known = JpegStructure.of(data[:zeros]).undamaged_rows(data[:zeros], _printed)
         raise _damaged(name, f"its data from row {known} of {rows} on are damaged (zeros)")
     still, text = with_messages(lambda: _decode(data, name))
-    still = replace(still, few_chroma_samples=structure.few_chroma_samples)
+    still = replace(
+        still,
+        few_chroma_samples=structure.few_chroma_samples,
+        brightness_steps=structure.brightness_steps,
+    )
     if damage := structure.damage(data, text):
         known = structure.undamaged_rows(data, _printed)
         where = "" if known is None else f" in or above row {known + 1} of {rows}"

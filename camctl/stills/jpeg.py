@@ -19,10 +19,17 @@ from dataclasses import dataclass, field
 _FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _SEQUENTIAL = (0xC0, 0xC1)
 _START_OF_SCAN, _END_OF_IMAGE, _RESTART_INTERVAL, _HUFFMAN_TABLES = 0xDA, 0xD9, 0xDD, 0xC4
+_QUANTISATION_TABLES = 0xDB
 _MARKER = re.compile(rb"\xff+[\x01-\xcf\xd8-\xfe]")
 _RESTART = re.compile(rb"\xff[\xd0-\xd7]")
 _END = b"\xff\xd9"
 _BLOCK = 8
+#: Places of frequencies, row by row, in the order of a file (figure A.6): along diagonals, every
+#: other one upwards.
+_ORDER = sorted(
+    range(_BLOCK * _BLOCK),
+    key=lambda at: (sum(divmod(at, _BLOCK)), divmod(at, _BLOCK)[sum(divmod(at, _BLOCK)) % 2 == 0]),
+)
 CUT_SHORT = "it ends too early"
 """What is wrong with the markers of a file whose end is missing."""
 
@@ -56,6 +63,8 @@ class JpegStructure:
     why: str = ""
     is_cmyk: bool = False
     few_chroma_samples: bool = False
+    _tables: dict[int, tuple[int, ...]] = field(default_factory=dict)
+    _table_of_brightness: int = 0
     _rows_at: int = 0
     _unit: tuple[int, int] = (_BLOCK, _BLOCK)
     _restart_interval: int = 0
@@ -64,6 +73,11 @@ class JpegStructure:
     _is_one_scan: bool = False
     _is_header_filled: bool = False
     _is_zero_flat: bool = True
+
+    @property
+    def brightness_steps(self) -> tuple[int, ...]:
+        """What the frequencies of brightness are multiples of, row by row; empty: not stated."""
+        return self._tables.get(self._table_of_brightness, ())
 
     @classmethod
     def of(cls, data: bytes) -> JpegStructure:
@@ -102,6 +116,7 @@ class JpegStructure:
                 return
             self._rows_at, self._channels = at + 1, channels
             self._is_one_scan = marker in _SEQUENTIAL
+            self._table_of_brightness = segment[8]
             factors = [segment[7 + 3 * channel] for channel in range(channels)]
             if channels > 1:  # else a unit is one block (section A.2.2)
                 down, across = ([each >> bits & 15 for each in factors] for bits in (0, 4))
@@ -111,6 +126,8 @@ class JpegStructure:
             (self._restart_interval,) = struct.unpack_from(">H", segment)
         elif marker == _HUFFMAN_TABLES:
             self._add_tables(segment)
+        elif marker == _QUANTISATION_TABLES and not self._scans:
+            self._add_steps(segment)
         elif marker == _START_OF_SCAN:
             self._is_one_scan &= not self._scans and segment[0] == self._channels
 
@@ -123,6 +140,16 @@ class JpegStructure:
             # The first symbol has the code of zeros.
             self._is_zero_flat &= not is_of_contrast or segment[symbols] == _OF_BLOCK_END
             at = symbols + sum(segment[at + 1 : symbols])
+
+    def _add_steps(self, segment: bytes) -> None:
+        """Add the tables of a segment (section B.2.4.1)."""
+        at = 0
+        while at < len(segment):
+            kind, number = divmod(segment[at], 16)
+            values = struct.unpack_from(f">{len(_ORDER)}{'H' if kind else 'B'}", segment, at + 1)
+            of_place = dict(zip(_ORDER, values, strict=True))
+            self._tables[number] = tuple(of_place[place] for place in range(len(_ORDER)))
+            at += 1 + len(_ORDER) * (1 + kind)
 
     def zeros(self, data: bytes) -> int | None:
         """Return where zeros stand in place of data, as on a damaged disk; None: nowhere."""

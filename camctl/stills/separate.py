@@ -224,6 +224,7 @@ def _still(head: dict[str, Any], shared: int) -> Still:
         _colour(head.get("colour")),
         invalid,
         bool(head.get("few_chroma_samples")),
+        tuple(int(each) for each in head.get("brightness_steps", ())),
     )
 
 

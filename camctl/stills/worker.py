@@ -69,6 +69,7 @@ def _answer(shared: int, request: dict[str, Any]) -> dict[str, Any]:
         "notes": still.notes,
         "has_invalid": still.invalid is not None,
         "few_chroma_samples": still.few_chroma_samples,
+        "brightness_steps": still.brightness_steps,
         "colour": None if still.colour is None else asdict(still.colour),
     }
 

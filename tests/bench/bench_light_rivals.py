@@ -34,6 +34,7 @@ from camctl.model.response.camera import CameraResponse
 from camctl.model.response.measured import measured_response
 from camctl.model.sensor import SensorModel
 from camctl.sim.scenes.scene import load_scene
+from camctl.stills.jpeg import JpegStructure
 
 Floats = NDArray[np.float64]
 Frames = list[NDArray[np.uint8]]
@@ -140,6 +141,15 @@ def shot(case: Case, light: Floats, real: CameraResponse, seed: int) -> Frames:
     return frames
 
 
+def stated_steps(case: Case) -> tuple[int, ...] | None:
+    """Return the steps of brightness that headers of the files of a set state; None: PNG."""
+    if case.quality is None:
+        return None
+    options = [cv2.IMWRITE_JPEG_QUALITY, case.quality]
+    _, data = cv2.imencode(".jpg", np.zeros((8, 8), np.uint8), options)
+    return JpegStructure.of(data.tobytes()).brightness_steps
+
+
 def inverse_variance(
     frames: Frames, case: Case, real: CameraResponse, light: Floats | None
 ) -> NDArray[np.float32]:
@@ -208,6 +218,7 @@ def measured(case: Case, curves: Any, seed: int) -> tuple[Floats, Floats, Floats
         response=real,
         # The headers of files state it: OpenCV writes them as 4:2:0.
         few_chroma_samples=case.is_colour and case.quality is not None,
+        brightness_steps=stated_steps(case),
     )
     spent = time.process_time() - began
     least = float(real.levels[0]) / max(case.exposures) / 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 from pathlib import Path
 from typing import Any
@@ -193,6 +194,21 @@ def curve_of(profile: bytes) -> tuple[int, int]:
     return start, size
 
 
+def test_blocks_that_are_turned_or_cut_have_no_stated_steps(tmp_path: Path) -> None:
+    rng, files = np.random.default_rng(2), []
+    light = cv2.GaussianBlur(rng.uniform(0.1, 1, (96, 128)), (0, 0), 3)
+    for k in range(3):
+        pixels = np.clip(60 * 2**k * light + rng.normal(0, 1, light.shape), 0, 255)
+        data = cv2.imencode(".jpg", np.repeat(pixels[..., None], 3, axis=2).astype(np.uint8))[1]
+        exif = Image.Exif()
+        exif[0x0112] = 6
+        files.append(tmp_path / f"{k}.jpg")
+        Image.open(io.BytesIO(data.tobytes())).save(files[-1], exif=exif, quality=90)
+    found = merged(files, times=(1.0, 2.0, 4.0), curve="srgb", colour="camera")
+    assert found.sum().shape[:2] == (128, 96)
+    assert not any("brightness_steps" in each.details for each in found.frames)
+
+
 def test_a_file_that_states_few_samples_of_colours_is_believed(tmp_path: Path) -> None:
     """Of soft pictures the pixels do not show it: errors were 1.9 times their deviations."""
     rng = np.random.default_rng(2)
@@ -217,5 +233,9 @@ def test_a_file_that_states_few_samples_of_colours_is_believed(tmp_path: Path) -
     deviation = read_deviation(tmp_path / "out" / "radiance.exr")
     assert deviation is not None
     assert 0.85 < np.sqrt(np.mean(np.square(errors * 1024 / deviation))) < 1.15
-    by_arrays = camctl.combine(frames, times, response="srgb", few_chroma_samples=True)
+    steps = found.frames[0].details["brightness_steps"]
+    assert len(steps) == 64
+    by_arrays = camctl.combine(
+        frames, times, response="srgb", few_chroma_samples=True, brightness_steps=steps
+    )
     assert np.median(by_arrays.sd / deviation) == pytest.approx(1, abs=2e-3)

@@ -12,7 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from camctl.errors import CameraProtocolError
+from camctl.evidence.lost_detail import _EXAMPLE
 from camctl.stills.decoding import read_still
+from camctl.stills.jpeg import JpegStructure
 from camctl.stills.separate import read_apart
 from camctl.system.library_output import with_messages
 
@@ -102,6 +104,16 @@ def test_files_state_whether_they_have_few_samples_of_colours(kind: str) -> None
         assert read(data, "a.jpg").few_chroma_samples is (kind != "444")
     grey = cv2.imencode(".jpg", PICTURE[..., 1])[1].tobytes()
     assert not read_still(grey, "a.jpg").few_chroma_samples
+
+
+@pytest.mark.parametrize("options", [(), (cv2.IMWRITE_JPEG_PROGRESSIVE, 1)])
+def test_files_state_the_steps_of_brightness(options: tuple[int, ...]) -> None:
+    structure = JpegStructure.of(coded(*options, quality=50))
+    example = np.ravel(_EXAMPLE)  # quality 50 is the table of the standard itself
+    assert structure.brightness_steps == tuple(example.tolist())
+    coarser = JpegStructure.of(coded(*options, quality=25))
+    assert coarser.brightness_steps == tuple((2 * example).clip(1, 255).tolist())
+    assert JpegStructure().brightness_steps == ()
 
 
 def test_zeros_in_place_of_data_are_refused_with_their_row() -> None:

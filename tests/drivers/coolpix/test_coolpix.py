@@ -106,7 +106,10 @@ class TestPictures:
         assert frame.original is not None
         assert frame.original.suffix == ".jpg"
         name = device.camera.pictures[-1].name
-        assert frame.details == {"name_on_card": name, "few_chroma_samples": True}
+        steps = frame.details["brightness_steps"]
+        assert len(steps) == 64
+        known = {"few_chroma_samples": True, "brightness_steps": steps}
+        assert frame.details == {"name_on_card": name, **known}
         assert "JPEG loses levels" in notes
 
     def test_only_times_that_are_read_back_unchanged_are_offered(
