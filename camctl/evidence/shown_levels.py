@@ -68,8 +68,9 @@ def black_level(
     """Return the mean brightness without light, if it is not `black`.
 
     The frames a and b of exposures 1 and r have samples A = d + x and B = d + r x, or noise: d is
-    (r A - B) / (r - 1) in every patch.  Where not black but exposures are wrong, that is a share of
-    A - `black` that the patches of a pair have in common.  The more probable of both counts.
+    (r A - B) / (r - 1) in every patch, and in every pair.  Where not black but exposures are wrong,
+    that is a share of A - `black` that the patches of a pair have in common.  The more probable of
+    both counts.
 
     Args:
         frames: patches of all colours, (patches, samples) of each frame
@@ -91,7 +92,7 @@ def black_level(
         if (ratio := exposures[b] / exposures[a]) > 1
         and (pair := _offsets(frames[a], frames[b], ratio, black, white)).shown.size
     ]
-    if not pairs:
+    if len(pairs) < (2 if black else 1):  # one may also have light that was in one frame alone
         return None
     shown, error, linearity, _ = (np.concatenate(each) for each in zip(*pairs, strict=True))
     offset = _weighted_mean(shown, error)
@@ -104,12 +105,16 @@ def black_level(
     outside = np.count_nonzero(np.abs(shown - offset) > NORMAL_MAD * error)
     fits = outside <= (len(shown) + significant_sigmas(1) * math.sqrt(len(shown))) / 2
     # A stated black level is a whole number; one of a converter that truncates is up to 1/2 less.
-    weights = error**-2
-    deviation = math.hypot(weights.sum() ** -0.5, np.average(linearity, weights=weights))
-    least = 0.5 + significant_sigmas(1) * deviation
+    least = 0.5 + significant_sigmas(1) * _deviation(error, linearity)
+    agree = all(
+        abs(_weighted_mean(each.shown, each.error) - offset)
+        <= significant_sigmas(len(pairs)) * _deviation(each.error, each.linearity) + 0.5
+        for each in pairs
+    )
     is_other = abs(offset) > least if black else offset > least
     found = black + round(offset)
-    return found if is_other and is_likelier and fits and 0 < found < white else None
+    is_sure = is_other and is_likelier and fits and agree
+    return found if is_sure and 0 < found < white else None
 
 
 def _offsets(a: Patches, b: Patches, ratio: float, black: int, white: int) -> _Offsets:
@@ -145,6 +150,12 @@ def _weighted_mean(values: FloatArray, error: FloatArray) -> float:
     kept = np.abs(values - near) < CLIPPING_SIGMAS * error
     weights = np.where(kept, error**-2, 0)
     return float(np.average(values, weights=weights)) if kept.any() else near
+
+
+def _deviation(error: FloatArray, linearity: FloatArray) -> float:
+    """Return the standard deviation of the weighted mean of values with these errors."""
+    weights = error**-2
+    return math.hypot(weights.sum() ** -0.5, np.average(linearity, weights=weights))
 
 
 def _share(pair: _Offsets) -> float:

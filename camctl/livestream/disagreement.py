@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import NormalDist
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,7 +123,7 @@ class OtherExposures:
     @property
     def come_late(self) -> bool:
         """Whether they fit exposures that were set some frames before their own."""
-        count = len(self.exposures)
+        count = len(self.exposures) if self.pairs else 0
         return any(
             all(
                 self._off(check, self.exposures[b - late] / self.exposures[a - late]) == 0
@@ -131,13 +132,26 @@ class OtherExposures:
             for late in range(1, count)
         )
 
+    @property
+    def may_be_lamps(self) -> bool:
+        """Whether lamps that flicker explain all of them."""
+        wrong = [check for check in self.pairs.values() if not check.agrees]
+        return bool(wrong) and all(check.may_be_lamps for check in wrong)
+
+    def reason(self, before: OtherExposures) -> Literal["exposures", "light", "delay"]:
+        """Return why frames of two looks in a row have other exposures than theirs."""
+        if self.are_those_of(before) and not self.come_late:
+            return "exposures"  # that the camera does not make
+        lamps = self.may_be_lamps and before.may_be_lamps
+        return "light" if lamps and not (self.come_late and before.come_late) else "delay"
+
     def is_of_plan(self, other: OtherExposures) -> bool:
         """Return whether they should have the exposures of others."""
         return self.exposures == other.exposures
 
     def are_those_of(self, other: OtherExposures) -> bool:
         """Return whether other frames of the same plan have the same exposures."""
-        return all(
+        return bool(self.pairs) and all(
             self._off(check, other.pairs[pair].measured or 0.0) == 0
             for pair, check in self.pairs.items()
             if pair in other.pairs
@@ -159,7 +173,12 @@ class OtherExposures:
             code="exposure_differs",
             frames=pair,
             value=(check.measured or 0.0) / check.expected,
-            details={"expected": check.expected, "certain": True, "name": name, "before": before},
+            details={
+                "expected": check.expected,
+                "certain": not self.may_be_lamps,
+                "name": name,
+                "before": before,
+            },
         )
 
 

@@ -37,8 +37,7 @@ Policy = Literal["latest", "all"]
 
 #: Frames after which light and exposures are looked at, at least; a round of the cycle, too.
 _LOOK_FRAMES = 8
-#: Looks in a row whose exposures contradict the plan: each comes after a whole round and eight
-#: frames, which is more than n + d.
+#: Looks in a row whose exposures contradict the plan, each after more than n + d frames.
 _CONTRADICTING_LOOKS = 2
 #: How often a camera that is gone is opened again, s.
 _RETRY_S = 0.5
@@ -406,9 +405,10 @@ class Live:
     def _settle(self) -> None:
         """Say why exposures contradict; let the camera settle where its delay may be the reason."""
         before, found = self._contradicting[-_CONTRADICTING_LOOKS:]
-        if found.are_those_of(before) and not found.come_late:
+        reason, has_delay = found.reason(before), self._controls.delay_frames is not None
+        if reason == "exposures":
             finding = found.finding([each.applied for each in self._window.frames])
-        elif self._controls.delay_frames is not None and use_delay(self._camera, None):
+        elif reason == "delay" and has_delay and use_delay(self._camera, None):
             measure = {"calibrate_delay": self._camera.info.id}
             finding = Finding(code="stream_settles", remedies=measure)
             self._end_cycle()

@@ -23,8 +23,8 @@ def _exposure_differs(finding: Finding) -> str:
     found = f"the light in {name} does not fit its exposure, {expected:.4g} times that of {before}"
     if ratio is not None:
         found = (
-            f"{name} is {ratio * expected:.4g} times as bright as {before}, and its exposure is "
-            f"{expected:.4g} times as long, a factor of {max(ratio, 1 / ratio):.3g} apart"
+            f"{name} is {_as(ratio * expected, 'bright')} as {before}, and its exposure is "
+            f"{_as(expected, 'long')}, a factor of {max(ratio, 1 / ratio):.3g} apart"
         )
     mends = ""
     if "estimate_ratios" in finding.remedies:
@@ -35,6 +35,12 @@ def _exposure_differs(finding: Finding) -> str:
         f"{found}: do not trust the light of the picture to less than that (lamps that flicker, "
         f"stray light, or a shutter that is not exact{mends and f'; {mends}'})"
     )
+
+
+def _as(times: float, what: str) -> str:
+    """Return such as "2.5 times as long"."""
+    number = f"{times:.4g}"
+    return f"as {what}" if number == "1" else f"{number} times as {what}"
 
 
 def _delay_helps(finding: Finding) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,11 @@ def shoot(
     return frames
 
 
+def brighter(added: tuple[float, ...], position: int) -> NDArray[np.float64]:
+    """Return the scene with a share of its brightest light added."""
+    return np.asarray(scene() + added[position] * scene().max())
+
+
 def black_of(
     frames: list[NDArray[np.uint16]],
     stated: int,
@@ -74,6 +80,13 @@ def test_what_else_may_be_wrong_is_no_black_level() -> None:
     assert black_of(shoot((1.0, 8.0, 40.0)), BLACK) is None
     assert black_of(shoot((1.0, 4.0, 64.0)), BLACK) is None
     assert black_of(shoot((1.0, 1.0)), 0, (1.0, 1.0)) is None  # they have one ratio
+    for share in (0.005, 0.02, 0.05):  # of the highlights: it came on after the first frame
+        added = (0.0, share, share)
+        lit = shoot(EXPOSURES, seen=partial(brighter, added))
+        assert black_of(lit, BLACK) is None
+    # Two frames cannot tell it from black, of which somebody has said what it is.
+    assert black_of(shoot(EXPOSURES[:2]), BLACK + 20, EXPOSURES[:2]) is None
+    assert black_of(shoot(EXPOSURES[:2]), 0, EXPOSURES[:2]) == BLACK
     curve = np.geomspace(1e-4, 1, TOP - BLACK)
     assert black_of(shoot(EXPOSURES), 0, response=CameraResponse(curve, "curve")) is None
 

@@ -68,3 +68,8 @@ def test_late_frames_have_exposures_of_others() -> None:
 def test_wrong_exposures_stay_and_light_varies() -> None:
     assert ratios(4.0, 1.0).are_those_of(ratios(4.01, 0.99))
     assert not ratios(4.0, 1.0).are_those_of(ratios(4.0, 2.0))
+    assert ratios(4.0, 1.0).reason(ratios(4.0, 1.0)) == "exposures"
+    assert ratios(4.0, 1.0).reason(ratios(1.0, 4.0)) == "delay"
+    assert ratios(5.0, 3.0).reason(ratios(3.3, 4.5)) == "light"
+    nothing = OtherExposures((1.0, 4.0), {})  # all is saturated
+    assert nothing.reason(nothing) == "delay"

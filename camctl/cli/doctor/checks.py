@@ -195,7 +195,7 @@ def check_udev_rules() -> Check:
         found = f"no {RULES}: USB cameras may need root"
         return Check(name="udev rules", state="missing", found=found, to_do=COMMANDS["udev_rules"])
     if text.strip() != UDEV_RULES.strip():
-        found = f"{RULES} is not that of this version"
+        found = f"{RULES} has the rules of another version"
         return Check(name="udev rules", state="problem", found=found, to_do=COMMANDS["udev_rules"])
     return Check(name="udev rules", state="ok", found=str(RULES))
 
