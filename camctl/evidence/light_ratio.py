@@ -254,9 +254,11 @@ class NeighbourCheck:
         of_long = self._offset_light(part.light * ratio) / ratio
         uncertain = np.hypot(np.hypot(of_short, of_long), added)
         seen, least = part.light + part.error, np.hypot(sigmas, uncertain)
-        # The geometric mean of both frames: neither alone decides which patches count.
-        product = np.maximum(part.light, least) * np.maximum(seen, least)
-        used = np.sqrt(product) >= self._sigmas * least
+        # The mean of both frames, weighted by the noise of reading, which is the same in both, does
+        # not depend on their difference.  What differs by more than noise anywhere counts, too.
+        both = (ratio**2 * part.light + seen) / (ratio**2 + 1)
+        differ = np.abs(part.error) >= significant_sigmas(part.size) * least
+        used = (both >= self._sigmas * least) | differ
         light, seen = np.maximum(part.light, least)[used], np.maximum(seen, least / 100)[used]
         logs, counts = np.log(seen / light), part.count[used]
         if not logs.size:
@@ -267,8 +269,8 @@ class NeighbourCheck:
         shared = np.sqrt(part.shared[used]) / light
         middle, extra, weights = _fitted(logs, np.hypot(relative, uncertain), self._sigmas)
         total = float(weights.sum())
-        added, shared = (float((weights * each).sum()) / total for each in (uncertain, shared))
-        rest = math.hypot(shared, extra) / math.sqrt(different)
+        added, common = (float((weights * each).sum()) / total for each in (uncertain, shared))
+        rest = math.hypot(common, extra) / math.sqrt(different)
         error = math.hypot(self._response_error, added, rest, 1 / math.sqrt(total))
         return _Votes(logs, relative, counts, self._sigmas * error, middle)
 

@@ -150,6 +150,22 @@ def test_few_electrons_do_not_shift_the_ratio() -> None:
     assert result.measured == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.parametrize("is_known", [True, False])
+@pytest.mark.parametrize("electrons", [9, 10, 11, 13])
+def test_dim_noisy_frames_do_not_contradict_their_exposures(electrons: int, is_known: bool) -> None:
+    """Which patches count does not depend on what noise makes of the frame that is tested."""
+    rng = np.random.default_rng(electrons)
+    check = NeighbourCheck(linear_response(12, phase=0.5, levels=3839), 256)
+    noise = FrameNoise(1.0, 40.0, black=256) if is_known else None
+    for _ in range(3):
+        samples = []
+        for exposure in (1, 4):
+            levels = rng.poisson(electrons * exposure, (240, 320)) + rng.normal(0, 40, (240, 320))
+            pixels = np.clip(np.rint(levels + 256), 0, 4095).astype(np.uint16)
+            samples.append(check.sample(pixels, noise))
+        assert not check.compare(samples[0], samples[1], 4.0).contradicts
+
+
 def test_frames_without_common_light_have_no_measured_ratio() -> None:
     real = linear_response(8)
     E = np.where(np.arange(10_000) % 2, 0.9, 1e-5).reshape(100, 100)
