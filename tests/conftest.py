@@ -56,13 +56,10 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 LONG = {
-    "test_a_cycle_uses_what_frames_state_once_the_pixels_agree",
     "test_a_study_continues_after_its_cluster_was_killed",
     "test_all_figures_are_drawn_and_none_is_flat",
     "test_broken_orders_of_the_writes_are_noticed",
     "test_capture_is_taken_judged_and_loaded",
-    "test_delay_is_measured_and_then_costs_n_plus_d_frames",
-    "test_delays_of_time_and_gain_are_used_apart",
     "test_every_reader_keeps_to_500_mb_and_5_s",
     "test_frames_have_their_exposures",
     "test_light_of_colours_is_that_of_numpy_where_it_is_compiled",
@@ -75,7 +72,8 @@ LONG = {
     "test_the_memorial_photographs_come_out_with_one_warning",
     "test_unplugged_camera_raises_an_error_of_one_line",
 }
-"""Tests of ten seconds and more, beside those with a time limit of their own."""
+"""Tests of ten seconds and more, beside those with a time limit of their own; without those that
+measure control delays, which need a core to themselves now and then."""
 
 
 def takes_long(item: pytest.Item) -> bool:
