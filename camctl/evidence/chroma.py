@@ -206,9 +206,9 @@ def _lost_chroma(
 def _without(
     variance: NDArray[np.float32], noise: NDArray[np.float32], freedom: int
 ) -> NDArray[np.float32]:
-    """Return a measured variance without that of noise, above 0.
+    """Return a measured variance without the variance of noise, above 0.
 
-    Its error is that of a variance of noise with so many degrees of freedom.  Where what is left is
+    It has the error of a variance of noise with so many degrees of freedom.  Where what is left is
     0, half of a normal error is above 0, with the mean sqrt(2 / pi), and no error is left where it
     is much.
     """

@@ -179,10 +179,9 @@ def fitted_model(part: PatchErrors, prediction: Prediction) -> Prediction:
     variance = variance + smear**2 + np.square(RESPONSE_ERROR * part.light)
     # What means scatter more is shared by neighbours, as the noise of a row and an error of the
     # response at a brightness are.
-    order = np.argsort(part.brightness, kind="stable")
-    count = min(MOST_BINS, part.size // LEAST_PATCHES)
-    scattered = np.array_split((np.abs(errors) / np.sqrt(variance))[order], count)
-    places = [median(each) for each in np.array_split(part.brightness[order], count)]
+    order, bins = _by_brightness(part)
+    scattered = np.array_split((np.abs(errors) / np.sqrt(variance))[order], len(bins))
+    places = [_median_of_ascending(each) for each in bins]
     squares = [max(1.0, (median(each) / NORMAL_MAD) ** 2) for each in scattered]
     more = np.interp(np.arange(prediction.mean.size), places, squares)
     own, shared = factor * prediction.own, prediction.shared + smear**2
@@ -194,6 +193,13 @@ def fitted_model(part: PatchErrors, prediction: Prediction) -> Prediction:
     return replace(prediction, mean=mean, own=own, shared=shared, black_error=error)
 
 
+def _by_brightness(part: PatchErrors) -> tuple[NDArray[np.intp], list[_Floats]]:
+    """Return the order of patches by brightness, and the brightness in bins of it, ascending."""
+    order = np.argsort(part.brightness, kind="stable")
+    count = min(MOST_BINS, part.size // LEAST_PATCHES)
+    return order, np.array_split(part.brightness[order], count)
+
+
 def _within(value: float, most: float) -> float:
     """Return a value within -most and most."""
     return min(max(value, -most), most)
@@ -203,9 +209,8 @@ def fitted_tables(part: PatchErrors, prediction: Prediction) -> Prediction:
     """Return mean and variance by brightness, measured in patches; rounding is the least."""
     if part.size < LEAST_PATCHES:
         return prediction
-    order = np.argsort(part.brightness, kind="stable")
-    count = min(MOST_BINS, part.size // LEAST_PATCHES)
-    bins = np.array_split(part.brightness[order], count)
+    order, bins = _by_brightness(part)
+    count = len(bins)
     ends = np.cumsum([0, *map(len, bins)]).tolist()
     least = (part.own + part.shared)[order]
     unit = np.maximum(part.light[order], np.sqrt(least))
