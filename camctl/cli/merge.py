@@ -196,7 +196,12 @@ def _print(report: CaptureReport, found: MergePlan, directory: Path, *, as_json:
     ]
     titles = ("photograph", "time", *(title for title, _, _ in more), "")
     parts = [format_table(titles, rows, right_aligned=tuple(range(1, 2 + len(more)))), ""]
-    facts = map(finding_line, found.facts)
+    # What each estimate leaves out is in the report alone: a warning says what moved, once.
+    facts = [
+        finding_line(each)
+        for each in found.facts
+        if each.code != "left_out" or each.details["what"] not in ("movement", "saturation")
+    ]
     parts += [f"response: {found.opened.response}", *facts, ""]
     print_text("\n".join([*parts, capture_text(report, directory)]))
 

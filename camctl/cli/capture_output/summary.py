@@ -249,7 +249,7 @@ def _measured_text(measured: MeasuredNoise) -> str:
 
 
 def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
-    """Return how much moved or changed between the frames, and where most of it is."""
+    """Return how much moved or changed between the frames; a finding says where."""
     if movement is None:
         return []
     share, spread = format_percent(movement.share), []
@@ -263,16 +263,11 @@ def _movement_rows(movement: FoundMovement | None) -> list[tuple[str, str]]:
         return [("movement", f"not known: {compared} in range")]
     if not movement.places:
         return [("movement", f"none ({share} of the samples differ, as by noise)"), *spread]
-    area = format_percent(movement.area)
-    first = movement.places[0]
-    place = f"columns {first.left}-{first.right - 1}, rows {first.top}-{first.bottom - 1}"
-    blocks = f"blocks of {movement.block} x {movement.block} pixels with more than noise"
-    moved = f"{blocks}: {area} of the picture, most in {place}"
     shares = (
         f"{share} of the samples differ between frames, "
         f"at most {format_percent(movement.false_alarms)} by noise"
     )
-    return [("movement", shares), ("", moved), *spread]
+    return [("movement", shares), *spread]
 
 
 def _metering_text(report: CaptureReport) -> str:
