@@ -8,11 +8,19 @@ module is imported only where it is used.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.model.compiled_alike import (
+    AT_ONCE,
+    Lanes,
+    Tables,
+    is_alike,
+    join_alike,
+    last_frame,
+)
 from camctl.model.joined_frames import Cells, CellsLight
 from camctl.model.light import Floats32, LightTables
 from camctl.model.light_bins import DROPPED
@@ -35,47 +43,27 @@ _BEYOND, _LARGEST_EXPONENT, _INFINITE = (np.float32(x) for x in (1e30, 50, np.in
 _DROPPED = np.uint32(DROPPED)
 
 
-class Tables(NamedTuple):
-    """What is tabulated of frames of a colour, see `LightTables`.
-
-    Attributes:
-        of_values: (n, white + 1, 4): light, squares of the step and of the noise, and the variance
-            of the light from which on a sample may be saturated
-        of_bins: by bin of light, (n, B, 2): squares of the noise, and steps
-        clipped: likewise, (n, B)
-        full: light that just saturates each frame, (n,)
-        ends: least and largest light of the bins; most levels of a sample that is not saturated,
-            and white; deviations that no sample is off by; variance of offsets, levels squared
-        first: number of the first bin
-        order: of the frames, from the shortest to the longest, (n,)
-    """
-
-    of_values: Floats32
-    of_bins: Floats32
-    clipped: NDArray[np.bool_]
-    full: Floats32
-    ends: Floats32
-    first: int
-    order: NDArray[np.uint64]
-
-    @classmethod
-    def of(cls, tables: LightTables) -> Tables:
-        """Return those of a colour."""
-        sensor, bins, top = tables.sensor, tables.light_bins, tables.sensor.highest(None)
-        squares, noises = tables.of_values
-        offset = (FILE_OFFSET / 255 * (sensor.white - sensor.black)) ** 2
-        levels = (top - np.arange(sensor.white + 1)) / np.float32(CLIPPING_SIGMAS)
-        to_saturation = squares * np.square(levels)
-        ends = bins.least, bins.brightest, top, sensor.white, CLIPPING_SIGMAS, offset
-        return cls(
-            np.stack([tables.irradiance, squares, noises, to_saturation], axis=2, dtype=np.float32),
-            np.stack([tables.variances, tables.steps], axis=2, dtype=np.float32),
-            tables.clipped,
-            (sensor.full / tables.exposures).astype(np.float32),
-            np.array(ends, np.float32),
-            bins.first,
-            np.argsort(tables.exposures, kind="stable").astype(np.uint64),
-        )
+def tables_of(tables: LightTables) -> Tables:
+    """Return those of a colour."""
+    sensor, bins, top = tables.sensor, tables.light_bins, tables.sensor.highest(None)
+    squares, noises = tables.of_values
+    offset = (FILE_OFFSET / 255 * (sensor.white - sensor.black)) ** 2
+    levels = (top - np.arange(sensor.white + 1)) / np.float32(CLIPPING_SIGMAS)
+    to_saturation = squares * np.square(levels)
+    ends = bins.least, bins.brightest, top, sensor.white, CLIPPING_SIGMAS, offset
+    of_values = np.stack(
+        [tables.irradiance, squares, noises, to_saturation], axis=2, dtype=np.float32
+    )
+    return Tables(
+        of_values,
+        of_values.view(np.complex128)[..., 0],
+        np.stack([tables.variances, tables.steps], axis=2, dtype=np.float32),
+        tables.clipped,
+        (sensor.full / tables.exposures).astype(np.float32),
+        np.array(ends, np.float32),
+        bins.first,
+        np.argsort(tables.exposures, kind="stable").astype(np.uint64),
+    )
 
 
 @_compiled
@@ -238,96 +226,6 @@ def _write(
 
 
 @_compiled
-def _weigh(
-    cells: Cells, tables: Tables, place: Place, of_light: int, weighed: Floats32
-) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Set the weight of each frame for a cell, and what is known before it; return the sums."""
-    cell, _, last = place
-    weights = own = shared = count = _ZERO
-    for each in range(last):
-        at = tables.order[each]
-        levels, full = cells.errors[at, cell], tables.full[at]
-        noise, error = tables.of_bins[at, of_light, 0], levels * tables.of_bins[at, of_light, 1]
-        both = noise + error * error
-        weight = _ZERO if tables.clipped[at, of_light] else _ONE / both
-        weighed[each, 0], weighed[each, 1] = weight, tables.ends[2] - tables.ends[4] * levels
-        weighed[each, 2], weighed[each, 3] = levels * levels + tables.ends[5], both
-        weighed[each, 4], weighed[each, 5], weighed[each, 6] = weights, own, shared
-        weighed[each, 7] = full * _QUARTER * weights if weight * weights > _ZERO else _INFINITE
-        weights += weight
-        own += weight * weight * noise
-        shared += weight * error
-        count += weight * both
-    return weights, own, shared, count
-
-
-@_compiled
-def _most_and_less(tables: Tables, at: int, weighed: Floats32, each: int) -> None:
-    """Set the sum that is too bright for a frame, and how much less of it is too dark, once."""
-    before, shares, reach = weighed[each, 4], weighed[each, 6], tables.ends[4]
-    known = np.sqrt(weighed[each, 5] + shares * shares) / before
-    spread = np.sqrt(known * known + weighed[each, 3])
-    weighed[each, 5] = (tables.full[at] + reach * known) * before
-    weighed[each, 6] = reach * spread * before
-    weighed[each, 3] = _ZERO
-
-
-@_compiled
-def _join_alike(
-    cells: Cells, tables: Tables, found: CellsLight, place: Place, weighed: Floats32
-) -> bool:
-    """Set the light of a cell, each frame of which counts for all samples or for none.
-
-    Weights are those of the cell, where no sample may be saturated or made darker, and frames do
-    not contradict each other, since the first light is in reach of all of them.
-
-    Returns:
-        whether that is so
-    """
-    cell, _, last = place
-    light, reach = cells.light, tables.ends[4]
-    of_light = _bin_of_cell(cells, tables, cell)
-    weights, own, shared, count = _weigh(cells, tables, place, of_light, weighed)
-    if not weights > _ZERO:
-        return False
-    deviation, common = np.sqrt(own) / weights, shared / weights
-    near, expected = reach * np.sqrt(_ONE / weights), count - (own + shared * shared) / weights
-    for k in range(4):
-        above = squares = lost = _ZERO
-        first = max(light[k, cell], _ZERO)
-        for each in range(last):
-            at = tables.order[each]
-            value, weight = cells.values[at, k, cell], weighed[each, 0]
-            if value > weighed[each, 1] or tables.of_values[at, value, 3] < lost:
-                return False
-            sample, square = tables.of_values[at, value, 0], tables.of_values[at, value, 1]
-            noise, off = tables.of_values[at, value, 2], sample - first
-            if off * off > reach * reach * (square * weighed[each, 2] + noise):
-                return False
-            lost = max(lost, square * cells.of_chroma[at, cell] - noise)
-            if above > weighed[each, 7]:
-                if weighed[each, 3] > _ZERO:
-                    _most_and_less(tables, at, weighed, each)
-                most, less = weighed[each, 5], weighed[each, 6]
-                if above > most or sample * weighed[each, 4] < above - less:
-                    return False
-            weighted = weight * sample
-            above += weighted
-            squares += weighted * sample
-        mean = above / weights
-        if mean < near:
-            sums = above, weights, own, shared, _ZERO, squares, count, 0
-            _write(cells, found, tables, (cell, k, last), sums, _ZERO)
-            continue
-        found.light[k, cell], found.common[k, cell] = mean, common
-        if not np.isnan(cells.deviation[k, cell]):
-            found.deviation[k, cell] = deviation
-        found.scatter[0, k, cell] = max(squares - above * above / weights, _ZERO)
-        found.scatter[1, k, cell] = expected
-    return True
-
-
-@_compiled
 def _join_evenly(
     cells: Cells, tables: Tables, found: CellsLight, place: Place, shown: Floats32
 ) -> bool:
@@ -371,29 +269,23 @@ def _join_cells(
     chosen: NDArray[np.bool_],
     mixed: NDArray[np.bool_],
     found: CellsLight,
+    lanes: Lanes,
     shown: Floats32,
 ) -> None:
-    top, count = tables.ends[2], len(tables.order)
-    for cell in range(len(chosen)):
-        if not chosen[cell]:
+    for start in range(0, len(chosen), AT_ONCE):
+        count, rest = min(AT_ONCE, len(chosen) - start), 0
+        for cell in range(start, start + count):
+            rest += chosen[cell]
+        if rest == 0:
             continue
-        last = count
-        while last > 1:
-            at = tables.order[last - 1]
-            if (
-                cells.values[at, 0, cell] <= top
-                or cells.values[at, 1, cell] <= top
-                or cells.values[at, 2, cell] <= top
-                or cells.values[at, 3, cell] <= top
-            ):
-                break
-            last -= 1
-        place = cell, 0, last
-        if mixed[cell] or not (
-            _join_alike(cells, tables, found, place, shown)
-            or _join_evenly(cells, tables, found, place, shown)
-        ):
-            _join_each(cells, tables, found, place, shown)
+        join_alike(cells, tables, chosen, mixed, found, lanes, np.uint64(start), np.uint64(count))
+        for j in range(count):
+            cell = start + j
+            if not chosen[cell] or is_alike(lanes, np.uint64(j)):
+                continue
+            place = cell, 0, last_frame(lanes, np.uint64(j))
+            if mixed[cell] or not _join_evenly(cells, tables, found, place, shown):
+                _join_each(cells, tables, found, place, shown)
 
 
 def join_cells(
@@ -405,4 +297,4 @@ def join_cells(
 ) -> None:
     """Set the light of chosen cells, that of `mixed` ones sample by sample."""
     shown = np.empty((len(cells.values), 8), np.float32)
-    _join_cells(cells, Tables.of(tables), chosen, mixed, found, shown)
+    _join_cells(cells, tables_of(tables), chosen, mixed, found, Lanes.new(), shown)

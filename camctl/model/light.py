@@ -185,6 +185,10 @@ class LightTables:
         weights: (n, B) float32, of a sample of each frame in the mean
         spreads: (n, B) float32, standard deviation of a sample of each frame, as irradiance
         clipped: (n, B) whether noise clips a sample at the lowest value
+        first_bins: (n white + 1,) of each sum of samples
+        white: value from which on a sample may be saturated whatever the sum is
+        saturating: (n,) the darkest bin in which it may be
+        is_above: (B,) whether what is saturated may say that there is more light than that
     """
 
     def __init__(self, frames: FrameSet) -> None:
@@ -209,18 +213,18 @@ class LightTables:
         # Compression lowers saturated samples beside others, and lifts some to white: such a frame
         # does not count, and what is white says no more than the noise of its frame.
         first = frames.noise[0]
-        is_compressed, self._white = bool(first.compression_levels), sensor.white
+        is_compressed, self.white = bool(first.compression_levels), sensor.white
         if is_compressed:
-            self._white = sensor.highest(None) + 1
+            self.white = sensor.highest(None) + 1
         elif first.file is not None and frames.beside_saturated:
             is_compressed = True
             error = math.sqrt(first.file.by_contrast(np.zeros(1))[0])
-            self._white -= math.ceil(CLIPPING_SIGMAS * error)
+            self.white -= math.ceil(CLIPPING_SIGMAS * error)
         if is_compressed:
             self._above = self._near
-        self._above_any = self._above.any(axis=0)
+        self.is_above = self._above.any(axis=0)
         lost = found.saturated & (found.share == 0) if is_compressed else found.saturated
-        self._saturating = np.argmax(lost, axis=1)
+        self.saturating = np.argmax(lost, axis=1)
         self.spreads: Floats32 = found.spread.astype(np.float32)
         self.clipped = found.clipped
         lost = np.where(found.clipped, found.share, 0.0).sum(axis=0) > _NOTABLE
@@ -229,7 +233,7 @@ class LightTables:
         sharp = (found.share > _DECISIVE) & (found.steps < _SHARP)
         self._sharp = sharp.any(axis=0) & self._exact
         self._pattern = found.pattern.astype(np.float32)
-        self._first = self.bins(light_of_sums(frames, sensor).astype(np.float32))
+        self.first_bins = self.bins(light_of_sums(frames, sensor).astype(np.float32))
 
     @cached_property
     def _scores(self) -> StepScores | None:
@@ -281,10 +285,10 @@ class LightTables:
     ) -> tuple[Floats32, Floats32]:
         """Return the same as if noise dithered the quantiser and clipped nothing."""
         samples = [looked_up(*each) for each in zip(self.irradiance, values, strict=True)]
-        bins = self._first.take(total)
-        for each, lowest in zip(values, self._saturating, strict=True):
+        bins = self.first_bins.take(total)
+        for each, lowest in zip(values, self.saturating, strict=True):
             # The sum does not always show that noise saturated a sample.
-            bins[np.flatnonzero((each >= self._white) & (bins < lowest))] = lowest
+            bins[np.flatnonzero((each >= self.white) & (bins < lowest))] = lowest
         E = self.weights[0].take(bins)
         E *= samples[0]
         for place in range(1, len(values)):
@@ -346,7 +350,7 @@ class LightTables:
         deviation: Floats32,
     ) -> None:
         """Add what the frames say that noise may or may not saturate; they have no weight yet."""
-        some = np.flatnonzero(self._above_any.take(bins))
+        some = np.flatnonzero(self.is_above.take(bins))
         for place, (near, above_full) in enumerate(zip(self._near, self._above, strict=True)):
             chosen = some[above_full.take(bins[some])]
             is_white = values[place][chosen] >= self.sensor.white

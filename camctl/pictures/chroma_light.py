@@ -21,6 +21,7 @@ from camctl.evidence.lost_detail import LostDetail
 from camctl.evidence.patches import SIDE
 from camctl.model.joined_frames import REACH, Cells, CellsLight, JoinedFrames, SeenFrame
 from camctl.model.light import Floats32, LightTables, cut_at_zero
+from camctl.model.light_memory import Estimate
 from camctl.model.sensor import FILE_OFFSET
 from camctl.system.compiled_functions import has_compiler
 from camctl.system.picture_operations import box_means, looked_up
@@ -46,32 +47,29 @@ _ROUNDS = 2
 _WORTH_LOADING = 1 << 18
 
 
-def share_chroma_errors(
+def light_of_colours(
     frames: Sequence[NDArray[Any]],
+    estimates: Sequence[Estimate],
     tables: Sequence[LightTables],
     details: Sequence[LostDetail],
     noises: Sequence[NDArray[np.float32]],
-    irradiance: Floats32,
-    deviation: Floats32,
-) -> None:
-    """Replace the light of samples whose colours have notable errors, and its deviation.
+) -> tuple[Floats32, Floats32]:
+    """Return the light of samples and its standard deviation, (rows, columns, 3) each.
 
     Args:
         frames: the same rows of each, (rows, columns, 3), clipped at white, from a block on
-        tables: of red, green and blue
+        estimates: the light of red, green and blue as if there were no errors in common
+        tables: of these
         details: what the file of each frame loses besides; empty where this is not known
         noises: what the noise of each frame shows, see `chroma_variance`
-        irradiance: as if there were none, at exposure 1
-        deviation: likewise; what is not a number stays so
     """
-    rows, columns = irradiance.shape[:2]
+    rows, columns = frames[0].shape[:2]
     if rows & 1 or columns & 1:
         # A file has whole cells, whose other samples are about those at the border.
         rest = (0, rows & 1), (0, columns & 1), (0, 0)
-        padded = [np.pad(each, rest, mode="edge") for each in (*frames, irradiance, deviation)]
-        share_chroma_errors(padded[:-2], tables, details, noises, *padded[-2:])
-        irradiance[...], deviation[...] = (each[:rows, :columns] for each in padded[-2:])
-        return
+        padded = [np.pad(each, rest, mode="edge") for each in frames]
+        whole = light_of_colours(padded, estimates, tables, details, noises)
+        return whole[0][:rows, :columns], whole[1][:rows, :columns]
     shape, count = (rows // 2, columns // 2), len(frames)
     seen = np.empty((len(tables), count, 4, math.prod(shape)), frames[0].dtype)
     for place, frame in enumerate(frames):
@@ -97,17 +95,33 @@ def share_chroma_errors(
             error += _by_block(detail, frame)
         np.sqrt(spreads, out=spreads)
     of_chroma, spreads = (each.reshape(len(tables), count, -1) for each in (of_chroma, spreads))
-    lights, deviations = (
-        [_by_cells(each[..., k]) for k in range(len(tables))] for each in (irradiance, deviation)
-    )
     beside, hidden = _beside_saturated(seen, spreads, tables[0].sensor.highest(None))
+    found = np.empty((2, len(tables), rows, columns), np.float32)
     for k, table in enumerate(tables):
-        small, is_large = _small_errors(compiled, table, spreads[k], lights[k])
-        cells = Cells(seen[k], hidden, spreads[k], of_chroma[k], lights[k], deviations[k], small)
-        lights[k], deviations[k] = _replaced(compiled, table, cells, beside | is_large, shape[1])
-    for whole, planes in ((irradiance, lights), (deviation, deviations)):
-        for channel, each in enumerate(planes):
-            _cells_of(whole[..., channel])[...] = each.reshape(2, 2, rows // 2, -1)
+        light, deviation = _first_light(compiled, table, estimates[k], seen[k])
+        small, is_large = _small_errors(compiled, table, spreads[k], light)
+        cells = Cells(seen[k], hidden, spreads[k], of_chroma[k], light, deviation, small)
+        _replace(compiled, table, cells, beside | is_large, *found[:, k])
+    irradiance, deviation = np.moveaxis(found, 1, 3)
+    return irradiance, deviation
+
+
+def _first_light(
+    compiled: ModuleType | None, tables: LightTables, estimate: Estimate, values: NDArray[Any]
+) -> tuple[Floats32, Floats32]:
+    """Return the light of samples, (n, 4, C), without errors in common, (4, C) each."""
+    samples = values.reshape(len(values), -1)
+    if compiled is None:
+        found = estimate(list(samples), samples.sum(axis=0, dtype=np.uint32))
+    else:
+        *found, special = compiled.mean(tables, samples)
+        if special.size:
+            some = samples[:, special]
+            of_some = estimate(list(some), some.sum(axis=0, dtype=np.uint32))
+            for whole, each in zip(found, of_some, strict=True):
+                whole[special] = each
+    light, deviation = (each.reshape(4, -1) for each in found)
+    return light, deviation
 
 
 def _by_block(detail: LostDetail, frame: NDArray[Any]) -> NDArray[np.float32]:
@@ -117,41 +131,43 @@ def _by_block(detail: LostDetail, frame: NDArray[Any]) -> NDArray[np.float32]:
     return cells[: frame.shape[0] // 2, : frame.shape[1] // 2]
 
 
-def _replaced(
+def _replace(
     compiled: ModuleType | None,
     tables: LightTables,
     cells: Cells,
     chosen: NDArray[np.bool_],
-    columns: int,
-) -> tuple[Floats32, Floats32]:
-    """Return the light of one colour and its deviation, (4, C) each.
+    light: Floats32,
+    deviation: Floats32,
+) -> None:
+    """Set the light of one colour and its deviation.
 
     Args:
         compiled: what joins cells in compiled code; None: numpy does
         tables: of the colour
         cells: of it
         chosen: cells whose errors change weights, or that are beside what is saturated, (C,)
-        columns: of cells
+        light: (rows, columns)
+        deviation: likewise
     """
     is_saturated = (cells.values > tables.sensor.highest(None)).all(axis=1)
     mixed = np.asarray((cells.hidden.any(axis=1) & ~is_saturated).any(axis=0))
-    light, deviation = cells.light.copy(), cells.deviation.copy()
-    common = np.tile(cells.common, (4, 1))
-    found = CellsLight(light, deviation, common, np.zeros((2, *light.shape), np.float32))
+    both, common = (cells.light.copy(), cells.deviation.copy()), np.tile(cells.common, (4, 1))
+    found = CellsLight(*both, common, np.zeros((2, *common.shape), np.float32))
     (compiled.join_cells if compiled else _join_cells)(tables, cells, chosen, mixed, found)
-    shape = chosen.size // columns, columns
+    shape = light.shape[0] // 2, -1
     scatter = np.stack(
         [box_means(each.reshape(shape), _AROUND) for each in found.scatter.sum(axis=1)]
     )
     measured, expected = scatter = scatter.reshape(2, -1)
     if compiled is not None:
-        compiled.widen(scatter, chosen, _KNOWN, common, deviation)
-        return light, deviation
+        compiled.put(scatter, chosen, _KNOWN, found, light, deviation)
+        return
     ratio = np.sqrt((measured + _KNOWN) / (expected + _KNOWN))
-    deviation *= np.where(chosen, ratio, np.float32(1))
+    own = found.deviation * np.where(chosen, ratio, np.float32(1))
     # Four times as fast as `np.hypot`; none of them is so small that its square vanishes.
-    np.sqrt(np.square(deviation) + np.square(common), out=deviation)
-    return light, deviation
+    own = np.sqrt(np.square(own) + np.square(common))
+    for whole, each in ((light, found.light), (deviation, own)):
+        _cells_of(whole)[...] = each.reshape(2, 2, *_cells_of(whole).shape[2:])
 
 
 def _compiled(values: NDArray[Any]) -> ModuleType | None:

@@ -24,11 +24,13 @@ from camctl.evidence.chroma import (
 from camctl.evidence.lost_detail import LEVELS, NOISE_BINS, OCTAVES, LostDetail, cosines
 from camctl.evidence.patches import SIDE
 from camctl.model.compiled_join import join_cells
+from camctl.model.compiled_mean import mean
+from camctl.model.joined_frames import CellsLight
 from camctl.model.light import Floats32, LightTables
 from camctl.model.light_bins import DROPPED
 from camctl.system.compiled_functions import compiler
 
-__all__ = ["chroma_variance", "join_cells", "small_errors", "spreads", "widen"]
+__all__ = ["chroma_variance", "join_cells", "mean", "put", "small_errors", "spreads"]
 
 _compiled = compiler(are_joined=True) or (lambda function: function)
 
@@ -405,31 +407,49 @@ def small_errors(
 
 
 @_compiled
-def _widen(
+def _put(
     scatter: Floats32,
     chosen: NDArray[np.bool_],
     known: np.float32,
-    common: Floats32,
-    found: Floats32,
+    found: CellsLight,
+    light: Floats32,
+    deviation: Floats32,
 ) -> None:
-    for c in range(len(chosen)):
-        ratio = np.sqrt((scatter[0, c] + known) / (scatter[1, c] + known))
-        ratio = ratio if chosen[c] else _ONE
-        for k in range(4):
-            own = found[k, c] * ratio
-            found[k, c] = np.sqrt(own * own + common[k, c] * common[k, c])
+    columns = light.shape[1] // 2
+    for row in range(light.shape[0] // 2):
+        first = np.uint64(row * columns)
+        for down in range(2):
+            k = 2 * down
+            for c in range(columns):
+                i = first + np.uint64(c)
+                ratio = np.sqrt((scatter[0, i] + known) / (scatter[1, i] + known))
+                ratio = ratio if chosen[i] else _ONE
+                left, right = found.deviation[k, i] * ratio, found.deviation[k + 1, i] * ratio
+                one, other = found.common[k, i], found.common[k + 1, i]
+                deviation[k // 2 + 2 * row, 2 * c] = np.sqrt(left * left + one * one)
+                deviation[k // 2 + 2 * row, 2 * c + 1] = np.sqrt(right * right + other * other)
+            for c in range(columns):
+                i = first + np.uint64(c)
+                light[k // 2 + 2 * row, 2 * c] = found.light[k, i]
+                light[k // 2 + 2 * row, 2 * c + 1] = found.light[k + 1, i]
 
 
-def widen(
-    scatter: Floats32, chosen: NDArray[np.bool_], known: float, common: Floats32, found: Floats32
+def put(
+    scatter: Floats32,
+    chosen: NDArray[np.bool_],
+    known: float,
+    found: CellsLight,
+    light: Floats32,
+    deviation: Floats32,
 ) -> None:
-    """Replace deviations of cells by those of both kinds of errors.
+    """Set the light of samples and its standard deviation, by both kinds of errors.
 
     Args:
         scatter: of the frames around each cell, and what noise makes of it, (2, C)
         chosen: cells whose own deviation follows that, (C,)
         known: scatter that the noise is known from besides
-        common: deviation by errors that frames have in common, (4, C)
-        found: that by the others, likewise
+        found: of the samples of cells
+        light: (rows, columns)
+        deviation: likewise
     """
-    _widen(scatter, chosen, np.float32(known), common, found)
+    _put(scatter, chosen, np.float32(known), found, light, deviation)

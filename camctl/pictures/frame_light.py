@@ -39,7 +39,7 @@ from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import DesiredResponse, desired_response
 from camctl.model.sensor import CLIPPING_SIGMAS, JPEG_ERROR, SensorModel
 from camctl.model.step_posterior import FrameSet
-from camctl.pictures.chroma_light import NOTABLE, share_chroma_errors
+from camctl.pictures.chroma_light import NOTABLE, light_of_colours
 from camctl.pictures.mosaic import LETTERS, colour_of
 from camctl.system.picture_operations import plane_by_plane
 
@@ -168,10 +168,12 @@ class FrameLight:
             total: sum of the frames, clipped at white
         """
         clipped = [plane_by_plane(each) for each in self._clipped(frames)]
-        irradiance, deviation = self._by_sample(clipped, total)
         if self.chroma:
-            lost = self.details, self.contrast
-            share_chroma_errors(clipped, self.chroma, *lost, irradiance, deviation)
+            firsts = [each.of for each in self._memories]
+            of_files = self.chroma, self.details, self.contrast
+            irradiance, deviation = light_of_colours(clipped, firsts, *of_files)
+        else:
+            irradiance, deviation = self._by_sample(clipped, total)
         if self.beside is not None:
             places = np.flatnonzero(_beside_saturated(clipped, self.white))
             values = [np.ravel(each)[places] for each in clipped]
@@ -212,11 +214,8 @@ class FrameLight:
 
     @cached_property
     def _memories(self) -> list[LightMemory]:
-        """What estimates the light of each part; parts that are alike have one.
-
-        That of colours with errors in common is a mean, which takes less than to look for it.
-        """
-        keeps = not self.chroma
+        """What estimates the light of each part; parts that are alike have one."""
+        keeps = not self.chroma  # a mean takes less than to look for it
         memories = {each: LightMemory(each.estimate, keeps=keeps) for _, each in self.parts}
         return [memories[each] for _, each in self.parts]
 
