@@ -24,6 +24,7 @@ WHERE = {
     "gpiod": "menu/panels/gpio_keys.py",
     "h5py": "camctl/adapters/bluesky.py",
     "imagecodecs": "camctl/pictures/hdr_avif.py",
+    "llvmlite": "camctl/system/machine_code.py",
     "luma": "menu/panels/luma_display.py",
     "matplotlib": "camctl/(studies/|calibration/plots.py|system/plots.py)",
     "numba": "camctl/system/compiled_functions.py",

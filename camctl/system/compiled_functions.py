@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import importlib.util
 import math
+import os
+import re
 import threading
 from collections.abc import Callable
+from functools import cached_property, partial, update_wrapper
+from types import FunctionType
 from typing import Any, Generic, TypeVar
 
+from camctl.system.machine_code import KeptCode, Kind, kind_of
+
 _Functions = TypeVar("_Functions")
+
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+_JOINED: dict[str, Any] = _OPTIONS | {"_nrt": False, "inline": "always"}
 
 
 def has_compiler() -> bool:
@@ -25,25 +34,85 @@ def compiler(
     the user's cache where that can be written.
 
     Args:
-        are_joined: all but the last one become part of what calls them.  They make no arrays, and
-            count no references to those that they are given: that takes five times as long
+        are_joined: all but those that Python calls become part of what calls them.  They make no
+            arrays, and count no references to those that they are given: that takes five times as
+            long.  Those that Python calls return nothing, and numba is loaded only where they are
+            not compiled yet
     """
-    try:
-        import numba
-    except ImportError:
+    if not has_compiler():
         return None
+    return JoinedFunction if are_joined else partial(_compiled, options=dict(_OPTIONS))
 
-    def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-        options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-        if are_joined:
-            options |= {"_nrt": False, "inline": "always"}
-        try:
-            made: Callable[..., Any] = numba.njit(cache=True, **options)(function)
-        except RuntimeError:  # no folder for the machine code can be written
-            made = numba.njit(**options)(function)
+
+def _compiled(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
+    """Return a function as numba compiles it, and keeps it."""
+    import numba
+
+    try:
+        made: Callable[..., Any] = numba.njit(cache=True, **options)(function)
+    except RuntimeError:  # no folder for the machine code can be written
+        made = numba.njit(**options)(function)
+    return made
+
+
+class JoinedFunction:
+    """A function without arrays of its own that is compiled when Python first calls it.
+
+    Args:
+        function: the function; others that it calls are of this class, too
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        assert isinstance(function, FunctionType)
+        self.function = function
+        self._made: dict[tuple[Kind, ...], Callable[..., Any]] = {}
+        self._lock = threading.Lock()
+        update_wrapper(self, function)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Do what the function does."""
+        kinds = tuple(map(kind_of, arguments))
+        if kinds not in self._made:
+            with self._lock:
+                if kinds not in self._made:
+                    self._made[kinds] = self._loaded(kinds, arguments)
+        return self._made[kinds](*arguments)
+
+    def _loaded(self, kinds: tuple[Kind, ...], arguments: tuple[Any, ...]) -> Callable[..., Any]:
+        """Return the machine code for arguments of such kinds, as it was kept or new."""
+        kept = KeptCode(self.function, _JOINED, kinds) if os.name == "posix" else None
+        found = None if kept is None else kept.read()
+        if found is not None:
+            return found
+        import numba
+
+        bare: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+        made: Any = numba.njit(**_JOINED, **bare)(self._with_numba())
+        if kept is not None and hasattr(made, "compile"):  # not where numba is told to do nothing
+            made.compile(tuple(map(numba.typeof, arguments)))
+            (signature,) = made.nopython_signatures
+            if signature.return_type == numba.types.none:
+                (text,) = made.inspect_llvm().values()
+                (symbol,) = re.findall(r"^define [^@]*@(\S+?)\(", text, re.MULTILINE)
+                found = kept.made(text, symbol)
+        return found or _compiled(self._with_numba(), _JOINED)
+
+    def _with_numba(self) -> FunctionType:
+        """Return the function; what it calls is as numba compiles it."""
+        names = dict(self.function.__globals__)
+        for name in self.function.__code__.co_names:
+            if isinstance(called := names.get(name), JoinedFunction):
+                names[name] = called.in_numba
+        made = FunctionType(self.function.__code__, names, self.function.__name__)
+        made.__qualname__ = self.function.__qualname__
         return made
 
-    return compiled
+    @cached_property
+    def in_numba(self) -> Any:
+        """The function as others that are compiled call it."""
+        import numba
+
+        return numba.njit(**_JOINED)(self._with_numba())
 
 
 class LoadedLater(Generic[_Functions]):
