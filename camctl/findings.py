@@ -38,6 +38,8 @@ CODES: Final[dict[str, str]] = {
     "frame_damaged": "share of the frame that shows no scene: its samples are any codes",
     "lines_damaged": "share of the frame's lines that are in `place`, where some contradict most"
     " other frames from one side to the other",
+    "lines_repeated": "share of the frame's lines that are in `place`, from the first line on that"
+    " is an earlier one once more",
     "exposure_estimated": "exposure in the pixels over the stated one",
     "not_estimated": "nothing: an exposure, or all of them, could not be estimated from the pixels",
     "curve_repaired": "nothing: the curve of the camera was repaired; `repair` says how",

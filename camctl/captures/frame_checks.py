@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from camctl.captures.true_exposures import choose_exposures, estimate_exposures
 from camctl.captures.verdict import judge, suspected, suspects
-from camctl.evidence.damage import damaged_share
+from camctl.evidence.damage import Repeat, damaged_share, repeated_lines
 from camctl.evidence.delay import ShotLog
 from camctl.evidence.light_ratio import MOST_CHANGE, FrameSample, NeighbourCheck
 from camctl.evidence.patches import Patches, patch_places
@@ -69,6 +69,7 @@ class FrameChecks:
         self._delay_of = camera.info.id if self._log.has_delay else None
         self.thumbnails: dict[int, NDArray[np.uint8]] = {}
         self._light: dict[int, LightLimits] = {}
+        self._repeats: dict[int, frozenset[Repeat]] = {}
         self._damage: dict[int, float] = {}  # share that shows no scene, of frames judged so far
 
     def begin(self, positions: Sequence[int]) -> None:
@@ -84,6 +85,8 @@ class FrameChecks:
         if position in self._awaited:
             self._shots.append(sample)
         self._forget_damage(position)
+        if noise is not None:
+            self._repeats[position] = repeated_lines(pixels, self._check.scale, noise)
         self.thumbnails[position] = thumbnail(pixels, self._controls)
         for later in (position, position + 1):
             if self._check.has(later):
@@ -115,7 +118,7 @@ class FrameChecks:
         checks = [frame.ratio for frame in self._frames]
         # What is wrong with the exposure of a damaged frame, and of those beside it, is not known;
         # of a wrong exposure only the brighter lines may contradict the other frames.
-        wrong = sorted({*self._damaged(), *self._damaged_lines()})
+        wrong = sorted({*self._damaged(), *self._repeated_lines(), *self._damaged_lines()})
         if wrong:  # those beside them may be damaged, too
             while alone := self._alone(wrong):
                 wrong = sorted({*wrong, *alone})
@@ -174,24 +177,26 @@ class FrameChecks:
             found := other_level(self.samples, relative, self._controls)
         ):
             reasons, others = [found], []  # with a wrong level, exposures seem to be wrong
-        damaged = self._damaged()
-        reasons += [
-            Finding(code="frame_damaged", frames=(position,), value=share)
-            for position, share in damaged.items()
-        ]
-        reasons += [
-            Finding(
-                code="lines_damaged",
-                frames=(position,),
-                value=(place.bottom - place.top) / self._controls.shape[0],
-                place=place,
-            )
-            for position, place in self._damaged_lines().items()
-            if position not in damaged
-        ]
-        self._capture.distrust(reasons)
+        self._capture.distrust([*reasons, *self._damage_findings()])
         self._capture.findings += [*others, *self._delay_settled()]
         return chosen
+
+    def _damage_findings(self) -> list[Finding]:
+        """Return which frames are damaged, each once."""
+        found = {
+            position: Finding(code="frame_damaged", frames=(position,), value=share)
+            for position, share in self._damaged().items()
+        }
+        places = {
+            "lines_repeated": self._repeated_lines(),
+            "lines_damaged": self._damaged_lines(),
+        }
+        for code, frames in places.items():
+            for position, place in frames.items():
+                share = (place.bottom - place.top) / self._controls.shape[0]
+                finding = Finding(code=code, frames=(position,), value=share, place=place)
+                found.setdefault(position, finding)
+        return list(found.values())
 
     def _delay_settled(self) -> list[Finding]:
         """Return that the control delay was wrong, where the camera has settled since."""
@@ -273,6 +278,19 @@ class FrameChecks:
             for position, (first, stop) in found.items()
         }
 
+    def _repeated_lines(self) -> dict[int, Place]:
+        """Return where lines of frames are earlier ones once more, by position.
+
+        What a camera repeats in other frames, too, is how it makes them.
+        """
+        found = {}
+        for position, repeats in sorted(self._repeats.items()):
+            others = (each for place, each in self._repeats.items() if place != position)
+            if lines := [repeat.line for repeat in repeats.difference(*others)]:
+                height, width = self._controls.shape
+                found[position] = Place(top=min(lines), left=0, bottom=height, right=width)
+        return found
+
     def _alone(self, damaged: Collection[int] = ()) -> list[int]:
         """Return the frames that contradict those beside them where these agree with each other.
 
@@ -342,6 +360,7 @@ class FrameChecks:
     def _forget_damage(self, position: int) -> None:
         """Forget what is known of a frame that changed, and of those judged beside it."""
         self._light.pop(position, None)
+        self._repeats.pop(position, None)
         for place in (position - 1, position, position + 1):
             self._damage.pop(place, None)
 

@@ -45,7 +45,7 @@ from camctl.records.simulation_summary import simulation_summary, without_plan
 from camctl.system.memory import return_free_memory
 
 #: Codes of findings that a frame was damaged.
-_DAMAGE = frozenset({"frame_damaged", "lines_damaged"})
+_DAMAGE = frozenset({"frame_damaged", "lines_damaged", "lines_repeated"})
 
 
 @dataclass(frozen=True, eq=False)

@@ -127,6 +127,15 @@ def _lines_damaged(finding: Finding) -> str:
     )
 
 
+def _lines_repeated(finding: Finding) -> str:
+    assert finding.place is not None  # as where the finding was made
+    return (
+        f"from line {finding.place.top} on, frame {finding.frames[0] + 1} has lines that came "
+        "before, once more, noise included: they were sent twice, and what follows is in a wrong "
+        "place; the light is wrong there (mask bit 4)"
+    )
+
+
 def _exposure_estimated(finding: Finding) -> str:
     frame, reference = finding.frames
     return (
@@ -313,6 +322,7 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
     "frame_white": _frame_white,
     "frame_damaged": _frame_damaged,
     "lines_damaged": _lines_damaged,
+    "lines_repeated": _lines_repeated,
     "exposure_estimated": _exposure_estimated,
     "not_estimated": _not_estimated,
     "curve_repaired": lambda finding: str(finding.details["repair"]),

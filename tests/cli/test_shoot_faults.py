@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
+import numpy as np
 import pytest
 from command_line import Run
 
+from camctl.interface.camera import Pixels
+from camctl.sim.damage import DAMAGES
 from camctl.sim.faults import FAULT_FORMS
 
 QUICK = ("--sensor", "machine-vision", "--ratios", "1,3,9", "--base", "0.01")
@@ -75,6 +78,28 @@ def test_lines_that_are_damaged_twice_make_a_capture_untrustworthy(run: Run, kin
     assert (found["code"], found["frames"]) == ("lines_damaged", [8])
     assert 36 <= found["place"]["top"] < 84  # it begins in 30 to 70 % of the height
     assert "of frame 9 contradict most other frames" in ran.json["warnings"][0]
+
+
+def test_lines_that_came_twice_in_both_shots_make_a_capture_untrustworthy(run: Run) -> None:
+    """Of frame 9 so much is saturated, and the picture so small, that few contours contradict."""
+    ran = run("shoot", "-O", "size=160x120", "-O", "faults=double@8,double@10", "--json")
+    assert ran.status == 3
+    (found,) = ran.json["findings"]
+    assert (found["code"], found["frames"]) == ("lines_repeated", [8])
+    assert 36 <= found["place"]["top"] < 84  # it begins in 30 to 70 % of the height
+    assert "frame 9 has lines that came before, once more" in ran.json["warnings"][0]
+
+
+def test_lines_that_a_camera_repeats_in_all_frames_are_how_it_makes_them(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def enlarged(pixels: Pixels, white: int, random: np.random.Generator) -> None:
+        pixels[1::2] = pixels[::2]
+
+    monkeypatch.setitem(cast(dict[str, object], DAMAGES), "double", enlarged)
+    ran = shot(run, ",".join(f"double@{number}" for number in range(20)))
+    assert ran.status == 0
+    assert "lines_repeated" not in {finding["code"] for finding in ran.json["findings"]}
 
 
 @pytest.mark.parametrize(

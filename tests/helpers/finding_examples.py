@@ -32,6 +32,12 @@ _FINDINGS = (
         value=0.6,
         place=Place(top=48, left=0, bottom=120, right=160),
     ),
+    Finding(
+        code="lines_repeated",
+        frames=(8,),
+        value=0.5,
+        place=Place(top=60, left=0, bottom=120, right=160),
+    ),
     Finding(code="exposure_estimated", frames=(1, 0), value=1.021, low=1.019, high=1.023),
     Finding(code="not_estimated", details={"what": "the frames are black"}),
     Finding(code="setting_differs", value=0.02, details={"field": "base_s", "requested": 0.0213}),
