@@ -25,7 +25,7 @@ from camctl.evidence.raster_damage import (
 )
 from camctl.evidence.ratio_check import RatioCheck
 from camctl.evidence.residual import Pair, Side
-from camctl.evidence.shown_levels import other_level
+from camctl.evidence.shown_levels import other_levels
 from camctl.findings import Finding, Place
 from camctl.interface.camera import Camera, Pixels
 from camctl.interface.controls import ExposureControls, Layout, ResponseOrigin
@@ -174,9 +174,9 @@ class FrameChecks:
         )
         relative = [each.exposure for each in chosen]
         if any(check and check.contradicting for check in checks) and (
-            found := other_level(self.samples, relative, self._controls)
+            found := other_levels(self.samples, relative, self._controls)
         ):
-            reasons, others = [found], []  # with a wrong level, exposures seem to be wrong
+            reasons, others = found, []  # with a wrong level, exposures seem to be wrong
         self._capture.distrust([*reasons, *self._damage_findings()])
         self._capture.findings += [*others, *self._delay_settled()]
         return chosen

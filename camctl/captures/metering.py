@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from camctl.errors import CaptureError, UsageError
 from camctl.evidence.light_ratio import NeighbourCheck
 from camctl.evidence.ratio_check import MOST
-from camctl.evidence.shown_levels import other_level
+from camctl.evidence.shown_levels import other_levels
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.light import DARK_SHARE, Light, Metering
 from camctl.exposure.search.settings import BASE_SLACK_ON_LIST_STOPS
@@ -179,7 +179,8 @@ class MeteringFrames:
         controls, frames = self.camera.controls, (before, after)
         patches = [self._check.sample(each.pixels).patches for each in frames]
         exposures = [controls.exposure(each.applied) for each in frames]
-        if (level := other_level(patches, exposures, controls)) is not None:
+        if levels := other_levels(patches, exposures, controls):
+            level = levels[0]
             hint = "give it" if level.remedies else "the camera's driver states it wrongly"
             return CaptureError(sentence(level), hint=hint, remedies=level.remedies)
         times = (before.applied.time_s, after.applied.time_s, stays_s)

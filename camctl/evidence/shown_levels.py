@@ -22,7 +22,7 @@ from camctl.evidence.patch_errors import weighted_median
 from camctl.evidence.patches import Patches
 from camctl.evidence.ratio_check import SIGNIFICANCE, significant_sigmas
 from camctl.findings import Detail, Finding
-from camctl.interface.controls import ExposureControls
+from camctl.interface.controls import ExposureControls, Layout
 from camctl.model.quantiles import NORMAL_MAD, student
 from camctl.model.response.camera import CameraResponse, FloatArray
 from camctl.model.sensor import CLIPPING_SIGMAS, RESPONSE_ERROR
@@ -64,6 +64,7 @@ def black_level(
     response: CameraResponse,
     black: int,
     white: int,
+    tests: int = 1,
 ) -> int | None:
     """Return the mean brightness without light, if it is not `black`.
 
@@ -78,6 +79,7 @@ def black_level(
         response: of the camera, white - black levels
         black: stated brightness without light, DN
         white: brightness from which samples are saturated, DN
+        tests: over which the significance level is divided
 
     Returns:
         None where the frames have the black level `black`, or do not show another one, and where
@@ -100,21 +102,53 @@ def black_level(
     of_exposures = sum(
         _misfit(each.shown - each.brightness * _share(each), each.error) for each in pairs
     )
-    is_likelier = of_exposures - of_black > -2 * math.log(SIGNIFICANCE)
+    is_likelier = of_exposures - of_black > -2 * math.log(SIGNIFICANCE / tests)
     # If noise is all that remains, as many patches are inside the quartiles as outside.
     outside = np.count_nonzero(np.abs(shown - offset) > NORMAL_MAD * error)
-    fits = outside <= (len(shown) + significant_sigmas(1) * math.sqrt(len(shown))) / 2
+    fits = outside <= (len(shown) + significant_sigmas(tests) * math.sqrt(len(shown))) / 2
     # A stated black level is a whole number; one of a converter that truncates is up to 1/2 less.
-    least = 0.5 + significant_sigmas(1) * _deviation(error, linearity)
+    least = 0.5 + significant_sigmas(tests) * _deviation(error, linearity)
     agree = all(
         abs(_weighted_mean(each.shown, each.error) - offset)
-        <= significant_sigmas(len(pairs)) * _deviation(each.error, each.linearity) + 0.5
+        <= significant_sigmas(tests * len(pairs)) * _deviation(each.error, each.linearity) + 0.5
         for each in pairs
     )
     is_other = abs(offset) > least if black else offset > least
     found = black + round(offset)
     is_sure = is_other and is_likelier and fits and agree
     return found if is_sure and 0 < found < white else None
+
+
+def black_of_colours(
+    frames: Sequence[Patches],
+    exposures: Sequence[float],
+    layout: Layout,
+    responses: Sequence[CameraResponse],
+    black: int,
+    white: int,
+) -> list[Finding]:
+    """Return which colours have another black level than `black`, as `black_level` finds it.
+
+    Args:
+        frames: patches of all colours, colour by colour, (patches, samples) of each frame
+        exposures: of the frames, in any common unit
+        layout: of the frames; without colours there are no findings
+        responses: of the camera, one or those of R, G and B, white - black levels
+        black: stated brightness without light, DN
+        white: brightness from which samples are saturated, DN
+    """
+    planes = str(layout).upper()
+    if layout is Layout.MONO or any(len(each) % len(planes) for each in frames):
+        return []
+    parts, findings = [np.split(each, len(planes)) for each in frames], []
+    of_colours = responses if len(responses) == 3 else [*responses] * 3
+    for colour, response in zip("RGB", of_colours, strict=True):
+        places = [place for place, each in enumerate(planes) if each == colour]
+        some = [np.concatenate([each[place] for place in places]) for each in parts]
+        found = black_level(some, exposures, response, black, white, tests=3)
+        if found is not None:
+            findings.append(level_finding("black", found, black, colour=colour))
+    return findings
 
 
 def _offsets(a: Patches, b: Patches, ratio: float, black: int, white: int) -> _Offsets:
@@ -205,17 +239,24 @@ def saturation_level(
     return None if above > SIGNIFICANCE * full else math.floor(middle - spread)
 
 
-def other_level(
+def other_levels(
     frames: Sequence[Patches], exposures: Sequence[float], controls: ExposureControls
-) -> Finding | None:
-    """Return that frames of a camera, as patches, show another black or white level than it has."""
+) -> list[Finding]:
+    """Return that frames of a camera, as patches, show another black or white level than it has.
+
+    The black level of all colours, or else of some.
+    """
     known = frames, exposures, controls.levels, controls.black, controls.white
     if (black := black_level(*known)) is not None:
         is_assumed = any("option:black" in each.remedies for each in controls.findings)
         remedies = {"option:black": str(black)} if is_assumed else {}
-        return level_finding("black", black, controls.black, remedies)
+        return [level_finding("black", black, controls.black, remedies)]
+    responses = controls.responses or (controls.levels,)
+    levels = controls.black, controls.white
+    if of_colours := black_of_colours(frames, exposures, controls.layout, responses, *levels):
+        return of_colours
     white = saturation_level(*known)
-    return None if white is None else level_finding("white", white, controls.white)
+    return [] if white is None else [level_finding("white", white, controls.white)]
 
 
 def level_finding(
@@ -223,9 +264,12 @@ def level_finding(
     value: int,
     stated: int,
     remedies: dict[str, Any] | None = None,
+    colour: str | None = None,
 ) -> Finding:
-    """Return that frames show another black or white level than the stated one."""
+    """Return that frames, or one colour of them, show another level than the stated one."""
     details: dict[str, Detail] = {"level": level, "stated": stated}
+    if colour is not None:
+        details["colour"] = colour
     return Finding(code="levels_found", value=value, details=details, remedies=remedies or {})
 
 

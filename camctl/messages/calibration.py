@@ -79,9 +79,10 @@ def _left_out(finding: Finding) -> str:
 
 
 def _levels_found(finding: Finding) -> str:
-    level = finding.details["level"]
+    level, colour = finding.details["level"], finding.details.get("colour")
     why = "samples saturate there" if level == "white" else "the pixels show it"
-    return f"the {level} level is {finding.value:g}, not {finding.details['stated']}: {why}"
+    where = f" of channel {colour}" if colour else ""
+    return f"the {level} level{where} is {finding.value:g}, not {finding.details['stated']}: {why}"
 
 
 def _chart_contradicts(finding: Finding) -> str:

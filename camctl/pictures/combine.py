@@ -18,7 +18,12 @@ from camctl.evidence.lost_detail import LEVELS, Floats, Steps, file_steps
 from camctl.evidence.movement import Movement, find_movement
 from camctl.evidence.patches import Patches, sample_patches
 from camctl.evidence.residual import Pair, Side
-from camctl.evidence.shown_levels import black_level, level_finding, saturation_level
+from camctl.evidence.shown_levels import (
+    black_level,
+    black_of_colours,
+    level_finding,
+    saturation_level,
+)
 from camctl.findings import Finding
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import Layout
@@ -96,7 +101,8 @@ def combine(
             (see `standard_response`); or three of R, G and B
         black: brightness without light, DN: the mean of dark frames.  A response by its name has
             steps that are right in the mean then (`phase_of_black`); without black they truncate.
-            Where frames of a linear camera show another one, that counts (finding `levels_found`)
+            Where frames of a linear camera show another one, that counts (finding `levels_found`);
+            where one colour alone has another one, the finding says so, and its light is wrong
         white: brightness from which samples are saturated, DN; None: black + the levels of
             `response`, or the largest value of 8-bit frames.  Where the frames show that they
             saturate below it, that brightness counts (finding `levels_found`)
@@ -208,6 +214,8 @@ def _levels(
     if shown is not None:
         findings.append(level_finding("black", shown, black))
         black, responses = shown, channel_responses("linear", shown, white)
+    else:
+        findings += black_of_colours(samples, exposures, layout, responses, black, white)
     parts = parts_of(layout, responses)
     of_parts = zip(*(np.split(each, len(parts)) for each in samples), strict=True)
     levels = [

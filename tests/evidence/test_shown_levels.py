@@ -20,6 +20,7 @@ from camctl.evidence.patches import sample_patches
 from camctl.evidence.shown_levels import black_level, saturation_level
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import Frame
+from camctl.messages.plain import sentence
 from camctl.model.response.camera import CameraResponse, linear_response
 from camctl.photographs.merge import merge
 from camctl.photographs.photograph_set import PhotographOptions
@@ -89,6 +90,28 @@ def test_what_else_may_be_wrong_is_no_black_level() -> None:
     assert black_of(shoot(EXPOSURES[:2]), 0, EXPOSURES[:2]) == BLACK
     curve = np.geomspace(1e-4, 1, TOP - BLACK)
     assert black_of(shoot(EXPOSURES), 0, response=CameraResponse(curve, "curve")) is None
+
+
+def coloured(lifted: float, layout: str) -> list[NDArray[np.uint16]]:
+    """Return frames of three colours; the black level of blue is `lifted` levels more."""
+    frames = shoot(EXPOSURES)
+    blue = [np.minimum(each + np.uint16(lifted), TOP).astype(np.uint16) for each in frames]
+    if layout == "rgb":
+        pairs = zip(frames, blue, strict=True)
+        return [np.stack((one, one, other), axis=-1) for one, other in pairs]
+    for one, other in zip(frames, blue, strict=True):
+        one[1::2, 1::2] = other[1::2, 1::2]
+    return frames
+
+
+@pytest.mark.parametrize("layout", ["rgb", "rggb"])
+def test_one_colour_may_have_another_black_level(layout: str) -> None:
+    result = camctl.combine(coloured(10, layout), EXPOSURES, black=BLACK, white=TOP, layout=layout)
+    found = [each for each in result.findings if each.code == "levels_found"]
+    assert [(each.value, each.details["colour"]) for each in found] == [(BLACK + 10, "B")]
+    assert sentence(found[0]).startswith("the black level of channel B is 70, not 60: ")
+    right = camctl.combine(coloured(0, layout), EXPOSURES, black=BLACK, white=TOP, layout=layout)
+    assert not right.findings
 
 
 def test_light_is_right_whatever_black_is_stated() -> None:
