@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from camctl.captures.metering import OUTLIER_SHARE, TARGET_SHARE
 from camctl.exposure.light import LAMP_SHARE, Light, Metering
-from camctl.findings import Finding
 from camctl.interface.controls import ExposureControls, ExposureSetting, Layout
 from camctl.livestream.tables import SumTable
 from camctl.model.response.camera import FloatArray
+from camctl.pictures.render import DARK
 from camctl.records.capture_plan import MUCH
 
 #: Samples of which the histogram is made, about: 1e-4 of them are 26.
@@ -45,6 +45,7 @@ class Look:
         highlight: E that no more than `OUTLIER_SHARE` of the samples exceed
         clipped: share of the samples that are saturated in every frame
         dark: share of the samples that are darker than the desired range
+        unseen: share of the samples in which no light can be told from black
     """
 
     irradiance: FloatArray
@@ -52,6 +53,7 @@ class Look:
     highlight: float
     clipped: float
     dark: float
+    unseen: float = 0.0
 
     @property
     def is_cut(self) -> bool:
@@ -72,7 +74,7 @@ class Look:
         planes = layout.planes(total)
         step = max(1, math.isqrt(total.size // _SAMPLES))
         colours = {Layout.MONO: "G", Layout.RGB: "RGB"}.get(layout, layout.value.upper())
-        lights, counts, highlights, clipped, dark = [], [], [], 0, 0
+        lights, counts, highlights, clipped, dark, unseen = [], [], [], 0, 0, 0
         for plane, colour in zip(planes, colours, strict=True):
             table = tables["RGB".index(colour) if len(tables) > 1 else 0]
             found = np.bincount(plane[::step, ::step].ravel(), minlength=table.E.size)
@@ -82,6 +84,7 @@ class Look:
             highlights.append(float(table.E[brightest]))
             clipped += found[-1]
             dark += found[table.below].sum()
+            unseen += found[table.mask == DARK].sum()
             kept = found > 0
             lights.append(table.E[kept])
             counts.append(found[kept])
@@ -93,6 +96,7 @@ class Look:
             max(highlights),
             float(clipped / samples),
             float(dark / samples),
+            float(unseen / samples),
         )
 
     def light(self, controls: ExposureControls, settings: Sequence[ExposureSetting]) -> Light:
@@ -118,19 +122,6 @@ class Look:
             brightest=min(1.0, factor * self.highlight / unit),
             last=longest,
         )
-
-    def findings(self, dynamic_range: float) -> tuple[Finding, ...]:
-        """Return what of the light is out of reach of a range."""
-        found = []
-        details: dict[str, str | float | int | bool | None] = {
-            "dynamic_range": dynamic_range,
-            "photographs": False,
-        }
-        if self.clipped > MUCH:
-            found.append(Finding(code="light_above_range", value=self.clipped, details=details))
-        if self.dark > MUCH:
-            found.append(Finding(code="light_below_range", value=self.dark, details=details))
-        return tuple(found)
 
 
 class Following:

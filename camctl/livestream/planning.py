@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -13,12 +14,14 @@ from camctl.captures.plan import plan_for
 from camctl.errors import CaptureError, UsageError
 from camctl.evidence.noise import fit_noise
 from camctl.evidence.patches import sample_patches
-from camctl.exposure.goal import DEFAULT_COUNT, XI, CaptureRequest
+from camctl.evidence.ratio_check import MOST
+from camctl.exposure.goal import AUTO, CURVE, DEFAULT_COUNT, XI, CaptureRequest
 from camctl.exposure.light import Light
 from camctl.exposure.search.best import Search
+from camctl.exposure.search.ranges import STOPS
 from camctl.exposure.search.settings import at_most
 from camctl.exposure.search.wall_time import predicted_wall_s
-from camctl.findings import Finding
+from camctl.findings import Detail, Finding
 from camctl.interface.camera import Camera, Frame
 from camctl.interface.controls import (
     Choices,
@@ -28,8 +31,9 @@ from camctl.interface.controls import (
     Steps,
 )
 from camctl.interface.cycle import ComposingCamera
+from camctl.livestream.following import Look
 from camctl.model.noise import NoiseModel
-from camctl.records.capture_plan import CapturePlan
+from camctl.records.capture_plan import MUCH, CapturePlan
 
 DEFAULT_FPS = 10.0
 """Results a second where nobody says how many: with fewer, pictures are no longer seen as movement
@@ -130,6 +134,41 @@ class LivePlanner:
             details |= {"stops": stops}
         others = (each for each in plan.findings if each.code != "base_shortened")
         return (*others, own.model_copy(update={"details": details}))
+
+    def light_findings(self, look: Look, dynamic_range: float) -> list[Finding]:
+        """Return what of the light is out of reach of a range, and what would reach it."""
+        details: dict[str, Detail] = {"dynamic_range": dynamic_range, "photographs": False}
+        found = []
+        if look.clipped > MUCH:
+            found.append(Finding(code="light_above_range", value=look.clipped, details=details))
+        if look.dark > MUCH:
+            remedies, more = self._wider(look, dynamic_range)
+            found.append(
+                Finding(
+                    code="light_below_range",
+                    value=look.dark,
+                    details=details | more,
+                    remedies=remedies,
+                )
+            )
+        return found
+
+    def _wider(self, look: Look, dynamic_range: float) -> tuple[dict[str, Any], dict[str, Detail]]:
+        """Return what shows more of the dark: another range, or where light is not seen, time."""
+        if look.unseen <= MOST * look.dark:
+            if self.request.response == CURVE:
+                return {"desired_curve": None}, {}
+            if self.request.base_s is not None:
+                return {"base_s": False, "dynamic_range": AUTO}, {}
+            if self.request.dynamic_range != AUTO:
+                return {"dynamic_range": AUTO}, {}
+            for larger in (each for each in STOPS if each > dynamic_range):
+                left = float(look.shares[look.irradiance < 1 / larger].sum())
+                if left <= MOST * look.dark:
+                    return {"dynamic_range": larger}, {"left": left} if left > MUCH else {}
+        if self.controls.time_s.maximum < self._camera.controls.time_s.maximum:
+            return {"fps": None}, {}
+        return {}, {}
 
     def rate(self, settings: Sequence[ExposureSetting]) -> float:
         """Return the results a second of a cycle: those of a round, over the time that it takes."""

@@ -388,7 +388,7 @@ class Live:
         # Looks of another plan say nothing of this one.
         before = [each for each in self._contradicting if found and found.is_of_plan(each)]
         self._contradicting = [] if found is None else [*before, found]
-        self._more_findings = list(look.findings(wanted.desired.dynamic_range))
+        self._more_findings = self.planner.light_findings(look, wanted.desired.dynamic_range)
         is_other = self._following.is_other(look) and self.planner.request.base_s is None
         if is_other or self._next_planner:
             self._plan_again(look)

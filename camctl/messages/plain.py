@@ -285,6 +285,7 @@ _CHANGES: Final[dict[str, Callable[[Any], str]]] = {
         if value == "auto"
         else f"ask for a range of {range_text(value)}"
     ),
+    "fps": lambda _: "ask for fewer results a second, whose exposures may be longer",
     "ratios": lambda _: "let the exposures be chosen",
     "response": lambda _: "take constant contrast, which has more levels for the dark",
     "time_budget_s": lambda _: "allow more time",

@@ -6,8 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_cameras import small_camera
 
+from camctl.exposure.goal import CaptureRequest
 from camctl.livestream.following import Following, Look
+from camctl.livestream.planning import LivePlanner
 
 STEADY = Look(np.array([0.1, 0.9]), np.array([0.5, 0.5]), highlight=0.9, clipped=0.0, dark=0.01)
 CHANGES = {
@@ -42,3 +45,26 @@ def test_exposures_that_do_not_suit_the_light_stay_where_none_suit_it_better() -
     assert [following.is_other(badly_placed) for _ in range(2)] == [False, True]
     following.accept(badly_placed, is_final=True)
     assert not any(following.is_other(badly_placed) for _ in range(10))
+
+
+@pytest.mark.parametrize(
+    ("wanted", "unseen", "remedies"),
+    [
+        (CaptureRequest(dynamic_range=16), 0.1, {"dynamic_range": "auto"}),
+        (
+            CaptureRequest(dynamic_range=16, base_s=0.01),
+            0.1,
+            {"base_s": False, "dynamic_range": "auto"},
+        ),
+        (CaptureRequest(), 0.0, {"dynamic_range": 64.0}),
+        (CaptureRequest(), 0.3, {"fps": None}),
+    ],
+)
+def test_what_is_too_dark_names_what_would_show_it(
+    wanted: CaptureRequest, unseen: float, remedies: dict[str, object]
+) -> None:
+    dark = replace(STEADY, irradiance=np.array([0.02, 0.9]), dark=0.5, unseen=unseen)
+    with small_camera() as camera:
+        (found,) = LivePlanner(camera, wanted, 10.0).light_findings(dark, 16)
+    assert found.code == "light_below_range"
+    assert found.remedies == remedies
