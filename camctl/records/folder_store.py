@@ -15,7 +15,7 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -114,14 +114,14 @@ class FolderStore:
         load_libraries()
         lock = directory / LOCK
         if not (overwrite and (directory / REPORT).exists()):
-            cls.check_free(directory)  # before a lock is made in a folder of others
+            cls._replaced(directory)  # before a lock is made in a folder of others
         store, has_lock = cls(directory), lock.exists()
         with store._folder.storage_errors():
             made = make_folder(directory)
         try:
             with store._folder.owned():
                 try:
-                    store._removals = sorted(cls.check_free(directory, overwrite=overwrite))
+                    store._removals = sorted(cls._replaced(directory, overwrite=overwrite))
                     with store._folder.storage_errors():
                         store._folder.remove_leftovers()
                     yield store
@@ -156,11 +156,21 @@ class FolderStore:
             yield store
 
     @staticmethod
-    def check_free(directory: Path, *, overwrite: bool = False) -> set[str]:
-        """Check, before anything is shot, that `directory` can take a capture.
+    def check_free(directory: Path, *, overwrite: bool = False) -> None:
+        """Check, before anything is shot or computed, that `directory` can take a capture.
 
-        Returns the names of the files of an earlier capture there, which the new one replaces:
-        those that its report names.
+        Raises:
+            StorageError: the folder is in use or not empty, or cannot be read
+        """
+        folder = CaptureFolder(directory)
+        with folder.owned() if (directory / LOCK).exists() else nullcontext():
+            FolderStore._replaced(directory, overwrite=overwrite)
+
+    @staticmethod
+    def _replaced(directory: Path, *, overwrite: bool = False) -> set[str]:
+        """Return the names of the files of an earlier capture, which the new one replaces.
+
+        Those are the files that its report names.
 
         Raises:
             StorageError: the folder is not empty, or cannot be read

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from small_cameras import WrappedCamera, small_camera, sum_of_frames
 from small_captures import FIRST, LIGHT, REQUEST, complete, contents, one_of_two, shoot
 
+import camctl
 from camctl.captures.sequence import Progress
 from camctl.captures.sequencer import capture
 from camctl.errors import (
@@ -29,8 +30,9 @@ from camctl.errors import (
 from camctl.interface.camera import Frame, FrameStream, OriginalFile
 from camctl.interface.controls import ExposureSetting
 from camctl.records.folder_store import read_capture, read_report
-from camctl.records.report_file import clean_suffix
+from camctl.records.report_file import LOCK, clean_suffix
 from camctl.sim.camera import SimulatedCamera
+from camctl.system.files import file_lock
 
 # One owner
 
@@ -79,6 +81,24 @@ def test_lock_of_another_process_is_respected_and_ends_with_it(tmp_path: Path) -
         holder.kill()
         holder.wait()
     complete(folder)
+
+
+@pytest.mark.parametrize("is_complete", [False, True])
+def test_a_merge_into_a_folder_in_use_ends_before_a_file_is_read(
+    tmp_path: Path, *, is_complete: bool
+) -> None:
+    folder = tmp_path / "out"
+    if is_complete:
+        complete(one_of_two(folder))
+    else:
+        folder.mkdir()
+    with (
+        file_lock(folder / LOCK),
+        pytest.raises(StorageError, match="another process is writing"),
+    ):
+        camctl.merge([tmp_path / "missing.jpg"], path=folder, overwrite=True)
+    with pytest.raises(DataError, match=r"missing\.jpg"):
+        camctl.merge([tmp_path / "missing.jpg"], path=folder, overwrite=True)
 
 
 def test_refused_plan_leaves_no_folder(tmp_path: Path) -> None:
