@@ -184,7 +184,14 @@ STUDY_OPTIONS: Final[dict[str, RequestOption]] = {
 }
 """Options that several studies and tables have."""
 
-NAMES: Final = {"count": "-n --exposures", "counts": "-n --exposures", "mains_hz": "--mains"}
+NAMES: Final = {
+    "count": "-n --exposures",
+    "counts": "-n --exposures",
+    "levels_wanted": "--levels",
+    "mains_hz": "--mains",
+    "objective": "--objective",
+    "tolerance": "--tolerance",
+}
 """Names of options that have two, or another one where they are no setting of --set."""
 
 #: Light of a scene decides the range unless it is given, and may decide the response.

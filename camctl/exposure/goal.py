@@ -39,6 +39,9 @@ MIN_TIME_BUDGET_S = 1e-9
 MAX_COMPENSATION_STOPS = 64.0
 """No camera has so many stops between its shortest and its longest exposure."""
 
+MAINS_HZ = 50.0, 60.0
+"""Frequencies of public mains, Hz (IEC 60196)."""
+
 MIN_ACCURACY = 1.0
 """Fewest effective levels that can be asked for: one level does not show the light."""
 
@@ -308,12 +311,13 @@ class CaptureRequest(Goal):
                 raise UsageError("no exposure ratios: expected at least one, such as 1,2,4")
             for ratio in self.ratios:
                 _check_positive("exposure ratio", ratio)
-        for name, value in (
-            ("base exposure in seconds", self.base_s),
-            ("mains frequency", self.mains_hz),
-        ):
-            if value is not None:
-                _check_positive(name, value)
+        if self.base_s is not None:
+            _check_positive("base exposure in seconds", self.base_s)
+        if self.mains_hz is not None and self.mains_hz not in MAINS_HZ:
+            raise UsageError(
+                f"invalid mains frequency {self.mains_hz:g} Hz: expected 50 or 60",
+                hint="give the frequency of the mains, not of the flicker, which is twice as high",
+            )
         if not abs(self.compensation_stops) <= MAX_COMPENSATION_STOPS:
             raise UsageError(
                 f"invalid compensation {self.compensation_stops:g}: expected "

@@ -31,13 +31,13 @@ OPTIONS: Final[dict[str, str]] = {
     "is_flat": "--flat",
     "keep": "--keep",
     "labels": "--labels",
-    "levels_wanted": "--levels",
+    "levels_wanted": "--set levels=",
     "longest_s": "--longest",
     "mains_hz": "--set mains=",
     "mask": "--mask",
     "method": "--method",
     "methods": "--methods",
-    "objective": "--objective",
+    "objective": "--set objective=",
     "overwrite": "--force",
     "patches": "--patches",
     "ratios": "--ratios",
@@ -46,10 +46,12 @@ OPTIONS: Final[dict[str, str]] = {
     "table": "--set table=",
     "time_budget_s": "--time-budget",
     "times": "--times",
-    "tolerance": "--tolerance",
+    "tolerance": "--set tolerance=",
     "white": "--white",
 }
-"""The option of each remedy that is one, see `camctl.findings.Finding.remedies`."""
+"""The option of each remedy that is one, see `camctl.findings.Finding.remedies`.
+
+Fields of a request that are settings of --set are options of their own in some other commands."""
 
 PLACEHOLDERS: Final[dict[str, str]] = {
     "accuracy": "LEVELS",

@@ -78,7 +78,8 @@ CURVE = ((0.01, 0.0), (0.1, 0.6), (1.0, 1.0))
         ({"base_s": -1.0}, "invalid base exposure in seconds -1: expected a positive, finite"),
         ({"levels_wanted": 0.0}, "invalid number of desired levels 0: expected 1 to 10,000,000"),
         ({"time_budget_s": 0.0}, "invalid time budget in seconds 0: expected a positive, finite"),
-        ({"mains_hz": -50.0}, "invalid mains frequency -50: expected a positive, finite number"),
+        ({"mains_hz": -50.0}, "invalid mains frequency -50 Hz: expected 50 or 60"),
+        ({"mains_hz": 100}, "invalid mains frequency 100 Hz: expected 50 or 60"),
         ({"compensation_stops": math.inf}, "invalid compensation inf: expected -64 to 64 stops"),
         ({"tolerance": -1.0}, "invalid tolerance -1: expected a number of levels from 0"),
         (
