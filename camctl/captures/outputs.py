@@ -44,8 +44,8 @@ from camctl.records.report import Achieved, CaptureReport, Irradiance, Unfinishe
 from camctl.records.simulation_summary import simulation_summary, without_plan
 from camctl.system.memory import return_free_memory
 
-#: Codes of findings that a frame was damaged.
-_DAMAGE = frozenset({"frame_damaged", "lines_damaged", "lines_repeated"})
+#: Codes of findings that say why frames contradict each other where nothing moved.
+_CAUSES = frozenset({"frame_damaged", "lines_damaged", "lines_repeated", "levels_found"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,10 +367,10 @@ def _movement_findings(
 ) -> list[Finding]:
     """Return what the frames say of movement, and of light that spread.
 
-    What is damaged in a frame contradicts the others as both do.
+    What is damaged in a frame, or has another level, contradicts the others as both do.
     """
-    is_damaged = any(each.code in _DAMAGE for each in unfinished.findings)
-    if movement is None or is_damaged:
+    is_explained = any(each.code in _CAUSES for each in unfinished.findings)
+    if movement is None or is_explained:
         return []
     found = movement.found.findings
     if ghosts is not None:
