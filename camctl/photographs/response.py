@@ -97,11 +97,11 @@ def known_controls(
     scores = {key: score_of(each, 0) for key, each in standards.items()}
     best = min(standards, key=lambda key: scores[key])
     standard = replace(standards[best], response_origin=ResponseOrigin.MEASURED)
+    if patches.has_cells and scores[best] == 0:  # an estimate, whose numbers count, is worse
+        return standard, _FITTING.format(best[0])
     try:
         estimate = estimate_response(series, is_scene_checked=False, exposure_error=error)
     except DataError as problem:
-        if patches.has_cells and scores[best] == 0:
-            return standard, _FITTING.format(best[0])
         why: dict[str, Detail] = {"why": problem.what}
         notes.append(Finding(code="response_unknown", details=why, remedies={"curve": None}))
         return standards["srgb", series.phase], ASSUMED
