@@ -37,6 +37,8 @@ from camctl.pictures.combine_arguments import (
     channel_responses,
     checked_frames,
     frame_layout,
+    known_exposures,
+    known_gains,
     known_noise,
     known_steps,
     white_level,
@@ -85,6 +87,7 @@ def combine(
     black: int = 0,
     white: int | None = None,
     noise: Noise | None = None,
+    gains: Sequence[float] | None = None,
     layout: Layout | str | None = None,
     method: str = "likelihood",
     few_chroma_samples: bool = False,
@@ -106,8 +109,10 @@ def combine(
         white: brightness from which samples are saturated, DN; None: black + the levels of
             `response`, or the largest value of 8-bit frames.  Where the frames show that they
             saturate below it, that brightness counts (finding `levels_found`)
-        noise: of all frames, or one for each; a `NoiseModel` is taken at gain 1, with exposures in
-            s.  None: it is measured in the frames
+        noise: of all frames, or one for each; a `NoiseModel` is taken with exposures in s.  None:
+            it is measured in the frames
+        gains: linear gain of each frame, which its exposure includes: the noise differs by it.
+            None: all have gain 1, or any other one where the noise is measured
         layout: the Bayer pattern, such as "rggb": needed if a mosaic has three responses
         method: "likelihood": maximum likelihood, or the posterior mean where the quantiser or black
             decides; "sum": the posterior mean after the sum of the frames, as in the paper
@@ -120,7 +125,9 @@ def combine(
         UsageError: an argument does not fit the others
         DataError: the frames are not of one shape and type, or not unsigned integers
     """
+    exposures = known_exposures(exposures)
     pictures = checked_frames(frames, exposures)
+    gains = known_gains(gains, len(pictures))
     if method not in METHODS:
         raise unknown_name("method", method, METHODS)
     shortest = min(exposures)
@@ -132,7 +139,7 @@ def combine(
     samples, steps = _sampled(pictures, kind, top, stated)
     black, responses, findings = _levels(samples, relative, kind, responses, black, top)
     samples = [np.minimum(each, black + responses[0].M) for each in samples]
-    known = None if noise is None else known_noise(noise, exposures, black)
+    known = None if noise is None else known_noise(noise, exposures, gains, black)
     parts = parts_of(kind, responses)
     light = frame_light(
         parts,
@@ -141,6 +148,7 @@ def combine(
         samples,
         black=black,
         unit=shortest,
+        gains=gains,
         method=method,
         steps=steps,
         stated_steps=stated,
@@ -166,9 +174,11 @@ def _sampled(
 ) -> tuple[list[Patches], Steps]:
     """Return patches of the frames, and the steps of their files where those are looked for here.
 
-    Also without a layout the frames may be a mosaic: neighbours of one colour make a patch.
+    Also without a layout the frames may be a mosaic: neighbours of one colour make a patch.  One
+    row or column of pixels is none.
     """
-    planes = Layout.RGGB.planes if kind is Layout.MONO else kind.planes
+    may_be_mosaic = kind is Layout.MONO and min(pictures[0].shape) > 1
+    planes = Layout.RGGB.planes if may_be_mosaic else kind.planes
     samples = [sample_patches(planes(each), top) for each in pictures]
     if kind is not Layout.MONO or top != LEVELS - 1:
         return samples, "measure"

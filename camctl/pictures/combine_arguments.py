@@ -27,18 +27,32 @@ Noise: TypeAlias = NoiseModel | FrameNoise | Sequence[FrameNoise]
 Response: TypeAlias = CameraResponse | str | Sequence[CameraResponse]
 
 
+def known_exposures(exposures: Sequence[float]) -> list[float]:
+    """Return the exposures of frames; fractions, too, are numbers."""
+    given = list(exposures) if isinstance(exposures, Iterable) else None
+    if given is None or not all(isinstance(each, Real) for each in given):
+        shown = exposures if given is None else given
+        raise UsageError(f"invalid exposures {shown!r}: expected a list of numbers above 0")
+    if not all(math.isfinite(each) and each > 0 for each in given):
+        raise UsageError(f"invalid exposures {given}: expected finite numbers above 0")
+    return [float(each) for each in given]
+
+
 def checked_frames(frames: Iterable[ArrayLike], exposures: Sequence[float]) -> list[NDArray[Any]]:
     """Return the frames as arrays."""
-    pictures = [np.asarray(each) for each in frames]
-    if not isinstance(exposures, Iterable) or not all(isinstance(x, Real) for x in exposures):
-        raise UsageError(f"invalid exposures {exposures!r}: expected a list of numbers above 0")
+    given = list(frames)
+    if any(np.ma.is_masked(each) for each in given):
+        raise DataError(
+            "frames with masked samples: a mask of a frame is not used",
+            hint="give the samples alone (numpy.ma.getdata), and mask the result",
+        )
+    pictures = [np.asarray(each) for each in given]
+    exposures = known_exposures(exposures)
     if not pictures or len(pictures) != len(exposures):
         raise UsageError(
             f"invalid number of exposures: {len(exposures)} for {len(pictures)} frames",
             hint="give at least one frame, and the exposure of each",
         )
-    if not all(math.isfinite(each) and each > 0 for each in exposures):
-        raise UsageError(f"invalid exposures {list(exposures)}: expected finite numbers above 0")
     check_ratio(exposures)
     first = pictures[0]
     for each in pictures:
@@ -110,10 +124,25 @@ def _curves(response: CameraResponse | Sequence[CameraResponse]) -> tuple[Camera
     return found
 
 
-def known_noise(noise: Noise, exposures: Sequence[float], black: int) -> tuple[FrameNoise, ...]:
+def known_gains(gains: Sequence[float] | None, count: int) -> list[float]:
+    """Return the linear gain of each of `count` frames."""
+    if gains is None:
+        return [1.0] * count
+    given = list(gains) if isinstance(gains, Iterable) else [gains]
+    if len(given) != count or not all(isinstance(x, Real) and 0 < x < math.inf for x in given):
+        raise UsageError(f"invalid gains {given!r}: expected {count} finite numbers above 0")
+    return [float(each) for each in given]
+
+
+def known_noise(
+    noise: Noise, exposures: Sequence[float], gains: Sequence[float], black: int
+) -> tuple[FrameNoise, ...]:
     """Return the noise of each frame."""
     if isinstance(noise, NoiseModel):
-        return tuple(noise.frame(gain=1.0, time_s=each, black=black) for each in exposures)
+        return tuple(
+            noise.frame(gain=gain, time_s=exposure / gain, black=black)
+            for exposure, gain in zip(exposures, gains, strict=True)
+        )
     given = (noise,) * len(exposures) if isinstance(noise, FrameNoise) else noise
     if not isinstance(given, Sequence) or not all(isinstance(x, FrameNoise) for x in given):
         raise UsageError(

@@ -57,6 +57,8 @@ def test_exposures_have_a_widest_ratio() -> None:
         ({"noise": FrameNoise(20, 1, prnu=-1)}, "invalid prnu -1"),
         ({"noise": FrameNoise(20, 1, dsnu_levels=math.nan)}, "invalid dsnu_levels nan"),
         ({"noise": 5}, "invalid noise of type int"),
+        ({"gains": (1, 2)}, r"invalid gains \[1, 2\]: expected 1 finite"),
+        ({"gains": (-1,)}, r"invalid gains \[-1\]"),
         ({"noise": [FrameNoise(20, 1)] * 2}, "invalid noise of 2 frames for 1"),
     ],
 )
@@ -76,6 +78,7 @@ def test_16_bits_need_a_white_level() -> None:
         ([np.zeros((4, 4))], "invalid frame of float64"),
         ([np.zeros((4, 4, 2), "u1")], "invalid frames of the shape"),
         ([FRAME, np.zeros((4, 5), "u1")], "expected frames of one shape and type"),
+        ([np.ma.masked_equal(FRAME, 0)], "a mask of a frame is not used"),
     ],
 )
 def test_frames_are_unsigned_and_of_one_shape(frames: list[NDArray[Any]], words: str) -> None:
