@@ -422,8 +422,7 @@ def delay(
     """
     findings: list[Finding] = []
     if not isinstance(source, Camera):
-        given = [] if exposures is None else list(exposures)
-        frames = checked_frames(source, given)
+        frames, given = checked_frames(source, [] if exposures is None else exposures)
         record = delay_of_frames(frames, given, findings.append)
         return DelayResult(**dict(record), findings=tuple(findings))
     if not isinstance(source, StreamingCamera):

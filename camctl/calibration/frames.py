@@ -218,7 +218,9 @@ def _of_arrays(
     levels: tuple[int | None, int | None] | None,
     layout: Layout | str | None,
 ) -> SceneFrames:
-    pictures = checked_frames(arrays, [1.0] * len(arrays) if exposures is None else exposures)
+    pictures, stated = checked_frames(
+        arrays, [1.0] * len(arrays) if exposures is None else exposures
+    )
     black, white = levels or (None, None)
     bits = 8 * pictures[0].dtype.itemsize
     if white is None:
@@ -226,7 +228,7 @@ def _of_arrays(
     else:
         bits = max(white, *(int(each.max()) for each in pictures)).bit_length()
     kind = Layout.RGB if pictures[0].ndim == 3 else Layout(layout or Layout.MONO)
-    frames = _numbered(pictures, exposures)
+    frames = _numbered(pictures, None if exposures is None else stated)
     found = SceneFrames(frames, kind, bits, black or 0, white, levels is not None)
     _check_levels(bits, found)
     return found

@@ -37,7 +37,6 @@ from camctl.pictures.combine_arguments import (
     channel_responses,
     checked_frames,
     frame_layout,
-    known_exposures,
     known_gains,
     known_noise,
     known_steps,
@@ -111,8 +110,7 @@ def combine(
             saturate below it, that brightness counts (finding `levels_found`)
         noise: of all frames, or one for each; a `NoiseModel` is taken with exposures in s.  None:
             it is measured in the frames
-        gains: linear gain of each frame, which its exposure includes: the noise differs by it.
-            None: all have gain 1, or any other one where the noise is measured
+        gains: of each frame, linear, which its exposure includes: noise differs by it.  None: all 1
         layout: the Bayer pattern, such as "rggb": needed if a mosaic has three responses
         method: "likelihood": maximum likelihood, or the posterior mean where the quantiser or black
             decides; "sum": the posterior mean after the sum of the frames, as in the paper
@@ -125,13 +123,11 @@ def combine(
         UsageError: an argument does not fit the others
         DataError: the frames are not of one shape and type, or not unsigned integers
     """
-    exposures = known_exposures(exposures)
-    pictures = checked_frames(frames, exposures)
+    pictures, exposures = checked_frames(frames, exposures)
     gains = known_gains(gains, len(pictures))
     if method not in METHODS:
         raise unknown_name("method", method, METHODS)
-    shortest = min(exposures)
-    relative = tuple(each / shortest for each in exposures)
+    relative = tuple(each / min(exposures) for each in exposures)
     top = white_level(pictures[0].dtype, response, black, white)
     responses = channel_responses(response, black, top)
     kind = frame_layout(pictures[0].shape, len(responses), layout)
@@ -147,7 +143,7 @@ def combine(
         known,
         samples,
         black=black,
-        unit=shortest,
+        unit=min(exposures),
         gains=gains,
         method=method,
         steps=steps,
@@ -158,12 +154,7 @@ def combine(
     if method != "sum":
         # Developed colours have errors at edges, too: they are measured where noise is unknown.
         shown = known if known or kind is Layout.RGB or not light.noise else light.noise[0]
-        ratios, differing = _ratios(parts, relative, shown, samples, black)
-        findings += differing
-        for movement, view in _movements(pictures, parts, relative, shown, samples, black, ratios):
-            marks = view(found.mask)
-            marks |= movement.rows(0, len(marks)) * np.uint8(CONTRADICTING)
-            findings += movement.found.findings
+        findings += _contradictions(found.mask, pictures, parts, relative, shown, samples, black)
     if (unknown := float(np.isnan(found.sd).mean())) > 0:
         findings.append(Finding(code="noise_unknown", value=unknown))
     return replace(found, findings=tuple(findings))
@@ -237,6 +228,24 @@ def _levels(
         findings.append(level_finding("white", top, white))
         responses = tuple(each.up_to(top - black) for each in responses)
     return black, responses, findings
+
+
+def _contradictions(
+    mask: NDArray[np.uint8],
+    pictures: list[NDArray[Any]],
+    parts: list[Part],
+    exposures: Sequence[float],
+    noise: Sequence[FrameNoise] | None,
+    samples: list[Patches],
+    black: int,
+) -> list[Finding]:
+    """Mark where frames contradict each other, and return what there is to know about it."""
+    ratios, findings = _ratios(parts, exposures, noise, samples, black)
+    for movement, view in _movements(pictures, parts, exposures, noise, samples, black, ratios):
+        marks = view(mask)
+        marks |= movement.rows(0, len(marks)) * np.uint8(CONTRADICTING)
+        findings += movement.found.findings
+    return findings
 
 
 def _ratios(

@@ -27,7 +27,7 @@ Noise: TypeAlias = NoiseModel | FrameNoise | Sequence[FrameNoise]
 Response: TypeAlias = CameraResponse | str | Sequence[CameraResponse]
 
 
-def known_exposures(exposures: Sequence[float]) -> list[float]:
+def _known_exposures(exposures: Sequence[float]) -> list[float]:
     """Return the exposures of frames; fractions, too, are numbers."""
     given = list(exposures) if isinstance(exposures, Iterable) else None
     if given is None or not all(isinstance(each, Real) for each in given):
@@ -38,8 +38,10 @@ def known_exposures(exposures: Sequence[float]) -> list[float]:
     return [float(each) for each in given]
 
 
-def checked_frames(frames: Iterable[ArrayLike], exposures: Sequence[float]) -> list[NDArray[Any]]:
-    """Return the frames as arrays."""
+def checked_frames(
+    frames: Iterable[ArrayLike], exposures: Sequence[float]
+) -> tuple[list[NDArray[Any]], list[float]]:
+    """Return the frames as arrays, and their exposures."""
     given = list(frames)
     if any(np.ma.is_masked(each) for each in given):
         raise DataError(
@@ -47,7 +49,7 @@ def checked_frames(frames: Iterable[ArrayLike], exposures: Sequence[float]) -> l
             hint="give the samples alone (numpy.ma.getdata), and mask the result",
         )
     pictures = [np.asarray(each) for each in given]
-    exposures = known_exposures(exposures)
+    exposures = _known_exposures(exposures)
     if not pictures or len(pictures) != len(exposures):
         raise UsageError(
             f"invalid number of exposures: {len(exposures)} for {len(pictures)} frames",
@@ -70,7 +72,7 @@ def checked_frames(frames: Iterable[ArrayLike], exposures: Sequence[float]) -> l
             f"invalid frames of the shape {first.shape}: expected (rows, columns) or "
             "(rows, columns, 3)"
         )
-    return pictures
+    return pictures, exposures
 
 
 def white_level(dtype: np.dtype[Any], response: Response, black: int, white: int | None) -> int:
