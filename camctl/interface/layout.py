@@ -19,6 +19,11 @@ BRIGHTNESS_STEPS = "brightness_steps"
 """Detail of frames from JPEG files: what the 64 frequencies of brightness of a block are multiples
 of, row by row, levels."""
 
+QUARTER_TURNS = "quarter_turns"
+"""Detail of frames whose files state that the camera was turned: by how many quarter turns they
+must be turned anticlockwise to be upright, 1 to 3.  The pixels are as the sensor has them, since a
+camera that looks down may state any turn from frame to frame."""
+
 
 class Layout(StrEnum):
     """Pixel layout of a frame: monochrome, RGB, or the first four letters of a CFA pattern."""

@@ -69,7 +69,7 @@ def contact_sheet(
 
     Args:
         light: of the picture
-        preview: the picture for people, in the size of `light`
+        preview: the picture for people, in the size of `light` turned upright
         details: of the capture
         movement: where frames contradict each other; None: not examined
     """
@@ -88,7 +88,8 @@ def contact_sheet(
     ).tolist()
     sheet = Drawing(_WIDTH, tops[-1])
     sheet.text(_title(details), (MARGIN, tops[0]), _INNER, size=TITLE)
-    marked = _marked(light, preview, movement)
+    turns = details.quarter_turns
+    marked = np.rot90(_marked(light, np.rot90(preview, -turns), movement), turns)
     _draw_pictures(sheet, (tops[1], picture), preview, marked, details)
     for number, row in enumerate(rows):
         top = tops[2] + number * (frame_height + 2 * LINE_HEIGHT + MARGIN)

@@ -60,6 +60,7 @@ class PictureDetails:
         moved: share of the samples whose frames contradict each other; None: not examined
         spread: share of the samples that light spread to, which is not in `moved`
         colour: as `ExposureControls.colour`: None: the colours of the pictures are the camera's own
+        quarter_turns: by which the frames must be turned anticlockwise to be upright, 0 to 3
     """
 
     camera: CameraInfo
@@ -75,6 +76,7 @@ class PictureDetails:
     moved: float | None = None
     spread: float = 0.0
     colour: CameraColour | None = None
+    quarter_turns: int = 0
 
     @property
     def total_time_s(self) -> float:

@@ -110,7 +110,8 @@ def write_picture_files(
         finally:
             summed.result()  # raises its error before the errors of the others
         light = reducer.light()
-        mapped = threads.submit(renditions, light)  # while the disk takes the files
+        # While the disk takes the files.
+        mapped = threads.submit(lambda: renditions(light).turned(details.quarter_turns))
     if raw is not None:
         _write_raw(directory / DNG, raw, rendering, details)
     if (imagecodecs := avif_library()) is not None:

@@ -76,6 +76,14 @@ class Renditions:
     codes: NDArray[np.uint8]
     light: NDArray[np.float32]
 
+    def turned(self, quarter_turns: int) -> Renditions:
+        """Return them turned anticlockwise."""
+        if not quarter_turns:
+            return self
+        codes: Any = np.rot90(self.codes, quarter_turns)
+        light: Any = np.rot90(self.light, quarter_turns)
+        return Renditions(np.ascontiguousarray(codes), np.ascontiguousarray(light))
+
 
 def tone_map(light: Light) -> NDArray[np.uint8]:
     """Return the preview in sRGB, (rows, columns) or (rows, columns, 3)."""

@@ -10,6 +10,7 @@ import numpy as np
 from camctl.errors import CameraError, CameraProtocolError
 from camctl.interface.camera import CameraInfo, Pixels
 from camctl.interface.controls import ExposureSetting
+from camctl.interface.layout import QUARTER_TURNS
 from camctl.profiles.profile import StillRecord, load_profile
 from camctl.stills.decoding import Still
 from camctl.stills.exif import stated_exposure
@@ -124,7 +125,9 @@ def matched_pixels(still: Still, known: KnownFormat, name: str) -> tuple[Pixels,
 def checked_exposure(
     name: str, data: bytes, applied: ExposureSetting, *, has_gain: bool
 ) -> dict[str, float]:
-    """Return the ISO speed as `Frame.details` has it: of the file, or as it was set; {} if unknown.
+    """Return the ISO speed and the turn to upright as `Frame.details` has them.
+
+    The speed is the file's, or as it was set; neither is there where it is unknown.
 
     Raises:
         CameraProtocolError: the file states another exposure than the one that was set; a stop of
@@ -152,4 +155,7 @@ def checked_exposure(
                 hint="shoot it again, and do not use the camera's own buttons during the capture",
             )
     gain = stated.gain or (applied.gain if has_gain else None)
-    return {} if gain is None else {"iso": round(100 * gain, 6)}
+    details: dict[str, float] = {} if gain is None else {"iso": round(100 * gain, 6)}
+    if stated.quarter_turns:
+        details[QUARTER_TURNS] = stated.quarter_turns
+    return details

@@ -209,3 +209,31 @@ def test_resume_shoots_only_the_missing_frame(tmp_path: Path) -> None:
         report = resume(camera, tmp_path / "here")
         assert camera.actuations == 1
     assert report.status == "complete"
+
+
+class _TurnedCamera(StillCamera):
+    """A camera that was held upright: its files state a turn."""
+
+    def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
+        for frame in super()._frames(settings):
+            yield replace(frame, details={"quarter_turns": 3})
+
+
+def test_pictures_of_a_turned_camera_are_upright_and_its_frames_are_not(
+    tmp_path: Path, cv2: Any
+) -> None:
+    request = CaptureRequest(base_s=1 / 60, ratios=(1, 4))
+    shown = {}
+    for name, kind in (("level", StillCamera), ("turned", _TurnedCamera)):
+        with kind(ramp()) as camera:
+            report = capture(camera, request, tmp_path / name)
+            shown[name] = cv2.imread(str(tmp_path / name / "preview.png"), cv2.IMREAD_UNCHANGED)
+        assert report.radiance().shape[:2] == (48, 64)
+        for file in ("sum.tiff", "image.tiff"):
+            with tifffile.TiffFile(tmp_path / name / file) as tiff:
+                assert tiff.pages.first.shape[:2] == (48, 64)
+                tag = tiff.pages.first.tags.get("Orientation")
+                assert (None if tag is None else tag.value) == (None if name == "level" else 6)
+    assert np.array_equal(shown["turned"], np.rot90(shown["level"], 3))
+    picture = cv2.imread(str(tmp_path / "turned" / "picture.jpg"))
+    assert picture.shape[:2] == (64, 48)

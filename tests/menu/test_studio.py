@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -317,6 +318,15 @@ def test_picture_of_a_series_is_looked_at(start: Start, tmp_path: Path) -> None:
         assert client.ask(f"captures/file/{name}/{path}")[0] == 200, path
     assert client.ask(f"captures/small/{name}")[0] == 200
     assert client.json(f"captures/light/{name}?x=0.5&y=0.5")["light"][0] > 0
+    report = folder / "report.json"
+    told = json.loads(report.read_text("utf-8"))
+    told["frames"][0]["details"] = {"quarter_turns": 3}
+    report.write_text(json.dumps(told), "utf-8")
+    (folder / "radiance.exr").touch()
+    found = client.json(f"captures/light/{name}?x=0.9&y=0.1")
+    assert (found["row"], found["column"]) == (3, 4)  # of 32 rows and 48 columns
+    _, layer = client.ask(f"captures/layer/{name}/dark")
+    assert struct.unpack(">II", layer[16:24]) == (32, 48)  # columns and rows of a PNG file
     for wrong in (folder.parent.name, f"{name}/x", f"{folder.parent.name}/../{name}", f"./{name}"):
         assert client.ask(f"captures/files/{wrong}")[0] == 404, wrong
     assert client.ask(f"captures/delete/{name}", {})[0] == 200

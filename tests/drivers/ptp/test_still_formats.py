@@ -6,16 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from raw_photographs import raw_file
 
 from camctl.drivers.common.known_format import (
     FORMATS,
     FormatChangedError,
     KnownFormat,
+    checked_exposure,
     matched_pixels,
 )
 from camctl.drivers.ptp.datasets import ObjectInfo
 from camctl.drivers.ptp.still_formats import format_of
-from camctl.interface.controls import Layout
+from camctl.interface.controls import ExposureSetting, Layout
 from camctl.stills.decoding import Still
 
 SAMPLES = np.array([[64, 70, 1000, 4000], [4095, 66, 65, 200]], np.uint16)
@@ -77,3 +79,12 @@ def test_a_file_of_another_format_is_an_error_with_its_record(still: Still) -> N
     with pytest.raises(FormatChangedError, match=r"A\.DNG has .* instead of 4 x 2 \(") as caught:
         matched_pixels(still, KNOWN, "A.DNG")
     assert caught.value.record == still.record
+
+
+@pytest.mark.parametrize(("orientation", "turns"), [(1, None), (3, 2), (6, 3), (8, 1)])
+def test_the_turn_that_a_file_states_is_a_detail_of_its_frame(
+    orientation: int, turns: int | None
+) -> None:
+    data = raw_file(np.zeros((16, 16), np.uint16), 0.25, orientation=orientation)
+    details = checked_exposure("A.DNG", data, ExposureSetting(0.25), has_gain=False)
+    assert details.get("quarter_turns") == turns
