@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from statistics import NormalDist
 from typing import Any, NamedTuple
 
@@ -87,7 +88,8 @@ def repeated_lines(
 ) -> frozenset[Repeat]:
     """Return the lines of a frame that noise would have made different from all earlier ones.
 
-    Three equal lines and more are none: compression and enlargement make them.
+    Three equal lines and more are none: compression and enlargement make them.  Nor are lines that
+    come twice all over the frame, as of a camera that doubles them.
 
     Args:
         pixels: (rows, columns) or (rows, columns, 3)
@@ -111,7 +113,23 @@ def repeated_lines(
         samples = np.minimum(pixels[[each.line for each in run]], sensor.white)
         if chance[samples].sum() < limit:
             found += run
-    return frozenset(found)
+    return frozenset(() if _is_enlarged(pixels, found) else found)
+
+
+def _is_enlarged(pixels: NDArray[Any], found: Iterable[Repeat]) -> bool:
+    """Return whether single lines come twice all over a frame.
+
+    Enlargement to the nearest line, by whatever factor, has distances of such lines that differ by
+    1 at most: none is longer then than the shortest one that is known, and 1.  Without a second
+    line they are doubled.  Where nothing is seen, in the dark or saturated, lines are equal, too.
+    """
+    twice = sorted(each.line for each in found if each.line - each.earlier == 1)
+    if not twice:
+        return False
+    apart = int(np.diff(twice).min()) if len(twice) > 1 else 2
+    is_equal = np.array([np.array_equal(*two) for two in pairwise(pixels)])
+    equal = np.flatnonzero(is_equal) + 1
+    return bool(np.diff(equal, prepend=0, append=len(pixels)).max() <= apart + 1)
 
 
 def _runs(pairs: Iterable[Repeat]) -> list[list[Repeat]]:

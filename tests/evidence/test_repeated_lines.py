@@ -45,6 +45,21 @@ def test_what_compression_and_enlargement_make_equal_came_once(times: int) -> No
     assert not repeated_lines(np.repeat(pixels[::times], times, axis=0), scale, noise)
 
 
+@pytest.mark.parametrize("factor", [2, 1.5, 1.2, 1.37])
+@pytest.mark.parametrize("is_dark", [False, True])
+def test_lines_that_come_twice_all_over_a_frame_are_how_it_is_made(
+    factor: float, is_dark: bool
+) -> None:
+    pixels, scale, noise = taken("standard", 0.3)
+    if is_dark:
+        pixels[:90] = 0
+    lines = (np.arange(pixels.shape[0]) / factor).astype(np.intp)
+    assert not repeated_lines(pixels[lines], scale, noise)
+    single = np.arange(pixels.shape[0])
+    single[100:] -= 1
+    assert repeated_lines(pixels[single], scale, noise) == {Repeat(100, 99)}
+
+
 def test_without_noise_equal_lines_are_the_scene() -> None:
     pixels, scale, noise = taken("standard", 0.02)
     twice = damaged(pixels, "double", 8, scale.white)
