@@ -24,7 +24,7 @@ from camctl.model.response.camera import (
     named_response,
     phase_of_black,
 )
-from camctl.pictures.combine_arguments import checked_frames
+from camctl.pictures.combine_arguments import checked_frames, known_level
 from camctl.profiles.exposures import mode_name
 from camctl.profiles.profile import load_profile
 from camctl.records.folder_store import read_report
@@ -181,6 +181,7 @@ def scene_frames(
             have these levels; something is given for a capture, which states everything
         DataError: a file cannot be read, frames differ in format, or a folder is no capture
     """
+    black, white = known_level("black", black), known_level("white", white)
     levels = None if black is None and white is None else (black, white)
     if isinstance(source, str | os.PathLike):
         source = (source,)
@@ -222,11 +223,11 @@ def _of_arrays(
         arrays, [1.0] * len(arrays) if exposures is None else exposures
     )
     black, white = levels or (None, None)
-    bits = 8 * pictures[0].dtype.itemsize
+    most = 8 * pictures[0].dtype.itemsize
     if white is None:
-        white = 2**bits - 1
+        bits, white = most, 2**most - 1
     else:
-        bits = max(white, *(int(each.max()) for each in pictures)).bit_length()
+        bits = min(most, max(white, *(int(each.max()) for each in pictures)).bit_length())
     kind = Layout.RGB if pictures[0].ndim == 3 else Layout(layout or Layout.MONO)
     frames = _numbered(pictures, None if exposures is None else stated)
     found = SceneFrames(frames, kind, bits, black or 0, white, levels is not None)
@@ -288,10 +289,10 @@ def _of_files(
 
 def _check_levels(bits: int, found: SceneFrames) -> None:
     """Raise `UsageError` where frames of so many bits cannot have these levels."""
-    if not found.black < found.white < 2**bits:
+    if not 0 <= found.black < found.white < 2**bits:
         raise UsageError(
             f"invalid levels: black {found.black} and white {found.white} in frames of {bits} bits",
-            hint=f"expected black < white < {2**bits}",
+            hint=f"expected 0 <= black < white < {2**bits}",
         )
 
 

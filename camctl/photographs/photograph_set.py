@@ -333,10 +333,10 @@ def _levels(files: PhotographFiles, source: PhotographOptions) -> tuple[int, int
     """Return black and white level of the files, as stated or of their format."""
     black = files.format.black if source.black is None else source.black
     white = files.format.white if source.white is None else source.white
-    if not black < white < 2**files.format.bits:
+    if not 0 <= black < white < 2**files.format.bits:
         raise UsageError(
             f"invalid levels: black {black} and white {white} in files of {files.format.bits} bits",
-            hint=f"expected black < white < {2**files.format.bits}",
+            hint=f"expected 0 <= black < white < {2**files.format.bits}",
         )
     return black, white
 

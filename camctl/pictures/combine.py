@@ -38,9 +38,9 @@ from camctl.pictures.combine_arguments import (
     checked_frames,
     frame_layout,
     known_gains,
+    known_levels,
     known_noise,
     known_steps,
-    white_level,
 )
 from camctl.pictures.frame_light import FrameLight, Part, frame_light, parts_of
 from camctl.pictures.render import CONTRADICTING, DARK, SATURATED
@@ -128,7 +128,7 @@ def combine(
     if method not in METHODS:
         raise unknown_name("method", method, METHODS)
     relative = tuple(each / min(exposures) for each in exposures)
-    top = white_level(pictures[0].dtype, response, black, white)
+    black, top = known_levels(pictures[0].dtype, response, black, white)
     responses = channel_responses(response, black, top)
     kind = frame_layout(pictures[0].shape, len(responses), layout)
     stated = None if brightness_steps is None else known_steps(brightness_steps)
@@ -154,7 +154,9 @@ def combine(
     if method != "sum":
         # Developed colours have errors at edges, too: they are measured where noise is unknown.
         shown = known if known or kind is Layout.RGB or not light.noise else light.noise[0]
-        findings += _contradictions(found.mask, pictures, parts, relative, shown, samples, black)
+        is_one_wrong = any("colour" in each.details for each in findings)  # its level is the cause
+        marked = _contradictions(found.mask, pictures, parts, relative, shown, samples, black)
+        findings += () if is_one_wrong else marked
     if (unknown := float(np.isnan(found.sd).mean())) > 0:
         findings.append(Finding(code="noise_unknown", value=unknown))
     return replace(found, findings=tuple(findings))
@@ -215,8 +217,7 @@ def _levels(
     if shown is not None:
         findings.append(level_finding("black", shown, black))
         black, responses = shown, channel_responses("linear", shown, white)
-    else:
-        findings += black_of_colours(samples, exposures, layout, responses, black, white)
+    findings += black_of_colours(samples, exposures, layout, responses, black, white)
     parts = parts_of(layout, responses)
     of_parts = zip(*(np.split(each, len(parts)) for each in samples), strict=True)
     levels = [

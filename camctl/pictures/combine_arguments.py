@@ -75,11 +75,18 @@ def checked_frames(
     return pictures, exposures
 
 
-def white_level(dtype: np.dtype[Any], response: Response, black: int, white: int | None) -> int:
-    """Return the brightness from which samples are saturated."""
-    for name, level in (("black", black), ("white", white)):
-        if level is not None and not isinstance(level, Integral):
-            raise UsageError(f"invalid {name} level {level!r}: expected an integer")
+def known_level(name: str, level: int | None) -> int | None:
+    """Return a level as a number of Python: one of an array has the width of its samples."""
+    if level is not None and not isinstance(level, Integral):
+        raise UsageError(f"invalid {name} level {level!r}: expected an integer")
+    return None if level is None else int(level)
+
+
+def known_levels(
+    dtype: np.dtype[Any], response: Response, black: int, white: int | None
+) -> tuple[int, int]:
+    """Return the brightness without light, and the one from which samples are saturated."""
+    black, white = known_level("black", black) or 0, known_level("white", white)
     if white is None and not isinstance(response, str):
         white = black + _curves(response)[0].M
     if white is None and dtype.itemsize > 1:
@@ -93,7 +100,7 @@ def white_level(dtype: np.dtype[Any], response: Response, black: int, white: int
             f"invalid black level {black} and white level {found}: expected "
             f"0 <= black, black + 2 <= white <= {np.iinfo(dtype).max}"
         )
-    return found
+    return black, found
 
 
 def channel_responses(response: Response, black: int, white: int) -> tuple[CameraResponse, ...]:

@@ -199,11 +199,30 @@ def test_what_is_not_known_of_arrays_is_asked_for() -> None:
         camctl.calibrate.noise(frames)
     with pytest.raises(camctl.UsageError, match="white level of 16-bit frames"):
         camctl.calibrate.noise(frames, [1.0] * 4)
-    with pytest.raises(camctl.UsageError, match="invalid levels: black 300"):
-        camctl.calibrate.noise(frames, [1.0] * 4, black=300, white=255)
+    for black, white in ((300, 255), (-3, 4095), (0, 70_000)):
+        with pytest.raises(camctl.UsageError, match=f"invalid levels: black {black} and white"):
+            camctl.calibrate.noise(frames, [1.0] * 4, black=black, white=white)
+    with pytest.raises(camctl.UsageError, match="invalid black level 64"):
+        camctl.calibrate.noise(frames, [1.0] * 4, black=64.5, white=4095)  # type: ignore[arg-type]
     real = camctl.linear_response(8)
     with pytest.raises(camctl.UsageError, match="255 levels, and white - black is 4095"):
         camctl.calibrate.noise(frames, [1.0] * 4, white=4095, response=real)
+
+
+def test_levels_may_be_numbers_of_an_array() -> None:
+    rng = np.random.default_rng(0)
+    light = np.geomspace(10, 900, 64 * 64).reshape(64, 64)
+    times = [0.01, 0.02, 0.04] * 2
+    frames = [
+        (rng.poisson(light * time_s * 1000) / 10 + rng.normal(64, 1, light.shape)).astype(np.uint16)
+        for time_s in times
+    ]
+    found = []
+    for width in (int, np.uint16):
+        levels: Any = {"black": width(64), "white": width(4095)}
+        noise = camctl.calibrate.noise(frames, times, **levels).noise_model()
+        found.append((noise, camctl.combine(frames, times, **levels).irradiance.tolist()))
+    assert found[0] == found[1]
 
 
 @pytest.mark.slow

@@ -110,6 +110,10 @@ def test_one_colour_may_have_another_black_level(layout: str) -> None:
     found = [each for each in result.findings if each.code == "levels_found"]
     assert [(each.value, each.details["colour"]) for each in found] == [(BLACK + 10, "B")]
     assert sentence(found[0]).startswith("the black level of channel B is 70, not 60: ")
+    both = camctl.combine(coloured(40, layout), EXPOSURES, black=50, white=TOP, layout=layout)
+    *others, blue = both.findings
+    assert (blue.value, blue.details["colour"]) == (100, "B")
+    assert {(each.code, each.value) for each in others} == {("levels_found", 60)}  # nothing moved
     right = camctl.combine(coloured(0, layout), EXPOSURES, black=BLACK, white=TOP, layout=layout)
     assert not right.findings
 
