@@ -229,11 +229,20 @@ def fitted_tables(part: PatchErrors, prediction: Prediction) -> Prediction:
     at = np.arange(prediction.mean.size)
     bias, own, shared = (np.interp(at, places, column) for column in zip(*rows, strict=True))
     least = prediction.own + prediction.shared
+    unit = np.maximum(prediction.mean, np.sqrt(least))
+    own, shared = own * least, shared * least
+    # What is brighter than the patches is one of few lamps.  Noise grows with the light at most, as
+    # photon noise does; the mean error is at least what an offset makes and at most what a wrong
+    # response makes, and uniform between them.
+    last = [float(np.interp(places[-1], at, table)) for table in (prediction.mean, own, unit)]
+    times = np.maximum(prediction.mean / max(last[0], 1e-12), 1.0)
+    far = np.maximum(unit - last[2], 0.0) * (at > places[-1])
+    own = np.where(at > places[-1], np.maximum(own, last[1] * times), own)
     return replace(
         prediction,
-        mean=prediction.mean + bias * np.maximum(prediction.mean, np.sqrt(least)),
-        own=np.maximum(own * least, prediction.own),
-        shared=np.maximum(shared * least, prediction.shared),
+        mean=prediction.mean + bias * (unit - far / 2),
+        own=np.maximum(own, prediction.own),
+        shared=np.maximum(shared, prediction.shared) + np.square(bias * far) / 12,
         black_error=0.0,  # the mean errors hold it
     )
 

@@ -286,6 +286,55 @@ def test_a_thing_of_sixty_pixels_is_found_whether_noise_is_known_or_not(
     assert marks.mean() < FALSE_ALARMS
 
 
+def lamps(seed: int, first: int = 0) -> Floats:
+    """Return a dark wall with lamps of sharp edge, `first` to 11; 0 is half of full scale."""
+    rng = np.random.default_rng(seed)
+    rows, columns = np.mgrid[:160, :240]
+    light = np.full(rows.shape, 0.0005)
+    for number in range(12):
+        row, column = rng.uniform(10, 150), rng.uniform(10, 230)
+        radius, bright = rng.uniform(2, 6), rng.uniform(0.05, 0.9)
+        disc = np.clip(radius + 0.5 - np.hypot(rows - row, columns - column), 0, 1)
+        if number >= first:
+            light += (bright if number else 0.5) * disc
+    return light
+
+
+@pytest.mark.parametrize("sensor", ["standard", "machine-vision"])
+def test_lamps_before_a_dark_wall_do_not_move_where_noise_is_unknown(
+    sensor: str, tmp_path: Path
+) -> None:
+    """All measured patches are dark: their error is not one of the same share of the lamps."""
+    request = camctl.CaptureRequest("log", 1000.0, ratios=(1.0, 8.0, 64.0))
+    for seed in range(4):
+        path = tmp_path / f"{seed}.npy"
+        np.save(path, lamps(seed).astype(np.float32))
+        with camctl.open_camera(
+            "sim", scene=str(path), sensor=sensor, seed=seed, unknown=True
+        ) as camera:
+            movement = camctl.capture(camera, request).movement
+        assert movement is not None
+        assert movement.places == ()
+        assert movement.share <= movement.false_alarms
+
+
+def test_a_lamp_that_goes_out_before_a_dark_wall_is_found_where_noise_is_unknown() -> None:
+    rng, light, others = np.random.default_rng(1), lamps(0), lamps(0, first=1)
+    check = NeighbourCheck(linear_response(8), 0)
+    frames: list[Pixels] = []
+    for exposure, seen in ((1.0, others), (1.5, light)):
+        electrons = rng.poisson(np.minimum(seen * exposure, 2) * 10_000)
+        frames.append(np.clip(electrons / 10_000 * 256, 0, 255).astype(np.uint8))
+    samples = check.sample(frames[0]).patches, check.sample(frames[1]).patches
+    pair = Pair(check.scale, Side(0, 1.0, None), Side(1, 1.5, None), 1.5, samples)
+    movement = find_movement(rows_of(frames), frames[0].shape, [pair])
+    assert movement is not None
+    (place,) = movement.found.places
+    row, column = np.argwhere(light - others > 0.4).mean(axis=0)
+    assert place.top <= row <= place.bottom
+    assert place.left <= column <= place.right
+
+
 def pair_of(frames: list[Pixels], exposures: tuple[float, float], noise: FrameNoise) -> Pair:
     check = NeighbourCheck(linear_response(8, phase=0.5, levels=239), 16)
     samples = check.sample(frames[0]).patches, check.sample(frames[1]).patches
