@@ -21,6 +21,7 @@ _compiled = compiler(are_joined=True) or (lambda function: function)
 _ZERO, _ONE, _QUARTER = (np.float32(x) for x in (0, 1, 0.25))
 _BEYOND, _INFINITE = (np.float32(x) for x in (1e30, np.inf))
 _DROPPED = np.uint32(DROPPED)
+_NONE, _ONE_BIT = np.uint8(0), np.uint8(1)
 
 AT_ONCE = 128
 """Cells that are joined at a time."""
@@ -34,8 +35,8 @@ def _starts(first: int, stop: int, step: int = 1) -> list[np.uint64]:
     return [np.uint64(AT_ONCE * row) for row in range(first, stop, step)]
 
 
-#: Rows of `Lanes.rows`, of cells: frames that are looked at; whether the cell is alike, and whether
-#: its light is near 0; sums of `JoinedFrames`.
+#: Rows of `Lanes.rows`, of cells: frames that are looked at; whether the cell is alike; sums of
+#: `JoinedFrames`.
 _LAST, _IS_ALIKE, _WEIGHTS, _OWN, _SHARED, _COUNT = _starts(0, 6)
 #: Of a frame in them: noise and step, weight, most levels that are not saturated, square of errors;
 #: sums before it; the sum from which on it may be too bright, which is too bright, and how much
@@ -43,7 +44,12 @@ _LAST, _IS_ALIKE, _WEIGHTS, _OWN, _SHARED, _COUNT = _starts(0, 6)
 _NOISE, _STEP, _WEIGHT, _LIMIT, _SQUARE, _BEFORE, _BRIGHT, _MOST, _LESS = _starts(6, 15)
 #: Of samples, four each: sums, and the variance of light that frames lose.
 _ABOVE, _SQUARES, _LOST = _starts(15, 27, 4)
-_ROWS = 27
+#: Of cells: whether another colour hides a sample, and whether all frames are saturated.
+_IS_MIXED, _IS_WHITE = _starts(27, 29)
+_ROWS = 29
+
+#: What is known of a cell: its light; that no sample is mixed; that one is.
+DONE, OTHER, MIXED = (np.uint8(x) for x in range(3))
 
 
 class Tables(NamedTuple):
@@ -95,20 +101,8 @@ class Lanes(NamedTuple):
 
 
 @_compiled
-def last_frame(lanes: Lanes, j: np.uint64) -> int:
-    """Return the number of frames of a cell up to the last one in which a sample may count."""
-    return int(lanes.rows[_LAST + j])
-
-
-@_compiled
-def is_alike(lanes: Lanes, j: np.uint64) -> bool:
-    """Return whether the light of a cell was set."""
-    return bool(lanes.rows[_IS_ALIKE + j] > _ZERO)
-
-
-@_compiled
 def _begin(cells: Cells, tables: Tables, lanes: Lanes, start: np.uint64, count: np.uint64) -> int:
-    """Set which frames of cells are looked at; return their number."""
+    """Set which frames of cells are looked at, and which cells are mixed; return their number."""
     rows, light, top, most = lanes.rows, cells.light, tables.ends[2], _ONE
     for row in (_WEIGHTS, _OWN, _SHARED, _COUNT):
         for j in range(count):
@@ -116,17 +110,27 @@ def _begin(cells: Cells, tables: Tables, lanes: Lanes, start: np.uint64, count: 
     for j in range(_THREE * _FOUR * _ROW):
         rows[_ABOVE + j] = _ZERO
     for j in range(count):
-        rows[_LAST + j] = _ONE
-    for each in range(1, len(tables.order)):
+        rows[_LAST + j], rows[_IS_MIXED + j] = _ONE, _ZERO
+    for each in range(len(tables.order)):
         at = tables.order[each]
         for j in range(count):
-            c, values = start + j, cells.values
+            c, values, hidden = start + j, cells.values, cells.hidden
             one, two = (
                 min(values[at, 0, c], values[at, 1, c]),
                 min(values[at, 2, c], values[at, 3, c]),
             )
-            rows[_LAST + j] = np.float32(each + 1) if min(one, two) <= top else rows[_LAST + j]
+            is_seen = min(one, two) <= top
+            hides = hidden[at, 0, c] | hidden[at, 1, c] | hidden[at, 2, c] | hidden[at, 3, c]
+            rows[_LAST + j] = np.float32(each + 1) if is_seen else rows[_LAST + j]
+            rows[_IS_MIXED + j] = _ONE if is_seen & hides else rows[_IS_MIXED + j]
+    at, reach = tables.order[0], tables.ends[4]
     for j in range(count):
+        c, values = start + j, cells.values
+        lowest = min(
+            min(values[at, 0, c], values[at, 1, c]), min(values[at, 2, c], values[at, 3, c])
+        )
+        is_white = (lowest > top - reach * cells.errors[at, c]) & (rows[_LAST + j] == _ONE)
+        rows[_IS_WHITE + j] = _ONE if is_white else _ZERO
         most = max(most, rows[_LAST + j])
     least, brightest, first = tables.ends[0], tables.ends[1], np.uint32(tables.first)
     for j in range(count):
@@ -219,7 +223,7 @@ def _write(
     count: np.uint64,
     reach: np.float32,
 ) -> None:
-    """Set what is found of cells that are alike."""
+    """Set what is found of cells, which holds where they are alike."""
     rows = lanes.rows
     for j in range(count):
         weights, shared = rows[_WEIGHTS + j], rows[_SHARED + j]
@@ -242,43 +246,81 @@ def _write(
             rows[_LOST + sums] = rows[_NOISE + j] if known == known else known
     for k in range(_FOUR):
         for j in range(count):
-            if rows[_IS_ALIKE + j] > _ZERO:
-                c, sums = start + j, k * _ROW + j
-                found.light[k, c] = rows[_ABOVE + sums]
-                found.deviation[k, c] = rows[_LOST + sums]
-                found.common[k, c] = rows[_STEP + j]
-                found.scatter[0, k, c] = rows[_SQUARES + sums]
-                found.scatter[1, k, c] = rows[_LESS + j]
+            c, sums = start + j, k * _ROW + j
+            found.light[k, c] = rows[_ABOVE + sums]
+            found.deviation[k, c] = rows[_LOST + sums]
+            found.common[k, c] = rows[_STEP + j]
+            found.scatter[0, k, c] = rows[_SQUARES + sums]
+            found.scatter[1, k, c] = rows[_LESS + j]
 
 
 @_compiled
-def join_alike(
+def _keep(
     cells: Cells,
-    tables: Tables,
     chosen: NDArray[np.bool_],
-    mixed: NDArray[np.bool_],
     found: CellsLight,
     lanes: Lanes,
     start: np.uint64,
     count: np.uint64,
 ) -> None:
+    """Leave the light of cells as it is where no frame says more of it."""
+    for j in range(count):
+        c = start + j
+        if chosen[c] and lanes.rows[_IS_WHITE + j] == _ZERO:
+            continue
+        for k in range(4):
+            deviation = cells.deviation[k, c]
+            is_white = chosen[c] and deviation == deviation
+            found.light[k, c], found.common[k, c] = cells.light[k, c], cells.common[c]
+            found.deviation[k, c] = _INFINITE if is_white else deviation
+            found.scatter[0, k, c] = found.scatter[1, k, c] = _ZERO
+
+
+@_compiled
+def _join_alike(
+    cells: Cells,
+    tables: Tables,
+    chosen: NDArray[np.bool_],
+    found: CellsLight,
+    lanes: Lanes,
+    state: NDArray[np.uint8],
+) -> None:
+    rows, whole = lanes.rows, np.uint64(len(chosen))
+    for start in range(_NULL, whole, _ROW):
+        count, some = min(_ROW, whole - start), _ZERO
+        frames = _begin(cells, tables, lanes, start, count)
+        for j in range(count):
+            is_one = chosen[start + j] & (rows[_IS_MIXED + j] + rows[_IS_WHITE + j] == _ZERO)
+            rows[_IS_ALIKE + j] = _ONE if is_one else _ZERO
+            some += rows[_IS_ALIKE + j]
+        if some > _ZERO:
+            for each in range(frames):
+                _weigh(cells, tables, lanes, start, count, each)
+                for k in range(_FOUR):
+                    _add(cells, tables, lanes, start, count, each, k)
+            _write(cells, found, lanes, start, count, tables.ends[4])
+        kept = _NONE
+        for j in range(count):
+            is_kept = (rows[_IS_WHITE + j] > _ZERO) | (not chosen[start + j])
+            kind = MIXED if rows[_IS_MIXED + j] > _ZERO else OTHER
+            state[start + j] = DONE if is_kept | (rows[_IS_ALIKE + j] > _ZERO) else kind
+            kept |= _ONE_BIT if is_kept else _NONE
+        if kept:
+            _keep(cells, chosen, found, lanes, start, count)
+
+
+def join_alike(
+    cells: Cells, tables: Tables, chosen: NDArray[np.bool_], found: CellsLight
+) -> NDArray[np.uint8]:
     """Set the light of chosen cells, each frame of which counts for all samples or for none.
 
     Weights are those of the cell, where no sample may be saturated or made darker, and frames do
-    not contradict each other, since the first light is in reach of all of them.
+    not contradict each other, since the first light is in reach of all of them.  Cells that are
+    not chosen, or are saturated in all frames, keep the light that they have.
+
+    Returns:
+        whether that is `DONE`; else whether cells are `MIXED`, or an `OTHER` one, (C,)
     """
-    rows, some = lanes.rows, _ZERO
-    frames = _begin(cells, tables, lanes, start, count)
-    for j in range(count):
-        is_one = chosen[start + j] and not mixed[start + j]
-        rows[_IS_ALIKE + j] = _ONE if is_one else _ZERO
-        some += rows[_IS_ALIKE + j]
-    if not some > _ZERO:
-        return
-    for each in range(frames):
-        _weigh(cells, tables, lanes, start, count, each)
-        _add(cells, tables, lanes, start, count, each, _NULL)
-        _add(cells, tables, lanes, start, count, each, _ONCE)
-        _add(cells, tables, lanes, start, count, each, _TWO)
-        _add(cells, tables, lanes, start, count, each, _THREE)
-    _write(cells, found, lanes, start, count, tables.ends[4])
+    state = np.empty(len(chosen), np.uint8)
+    _join_alike(cells, tables, chosen, found, Lanes.new(), state)
+    return state

@@ -8,19 +8,12 @@ module is imported only where it is used.
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.model.compiled_alike import (
-    AT_ONCE,
-    Lanes,
-    Tables,
-    is_alike,
-    join_alike,
-    last_frame,
-)
+from camctl.model.compiled_alike import DONE, OTHER, Tables, join_alike
 from camctl.model.joined_frames import Cells, CellsLight
 from camctl.model.light import Floats32, LightTables
 from camctl.model.light_bins import DROPPED
@@ -30,17 +23,71 @@ from camctl.system.compiled_functions import compiler
 
 _compiled = compiler(are_joined=True) or (lambda function: function)
 
-Place: TypeAlias = tuple[int, int, int]
-"""A cell, a sample of it, and the number of frames that are looked at."""
-
-Sums: TypeAlias = tuple[
-    np.float32, np.float32, np.float32, np.float32, np.float32, np.float32, np.float32, int
-]
-"""Those of `JoinedFrames`, and the frames that count, as bits."""
-
 _ZERO, _ONE, _HALF, _QUARTER = (np.float32(x) for x in (0, 1, 0.5, 0.25))
 _BEYOND, _LARGEST_EXPONENT, _INFINITE = (np.float32(x) for x in (1e30, 50, np.inf))
-_DROPPED = np.uint32(DROPPED)
+_NONE, _SOME = (np.uint32(x) for x in range(2))
+_DROPPED, _SATURATED = np.uint32(DROPPED), np.float32(2)
+# Numbers without a sign, see `camctl.model.compiled_alike`.
+_NULL, _ONCE, _TWO, _THREE, _FOUR = (np.uint64(x) for x in range(5))
+#: Cells at a time, and their samples.
+_CELLS, _SAMPLES = np.uint64(64), np.uint64(256)
+
+
+def _starts(first: int, stop: int) -> list[np.uint64]:
+    return [_SAMPLES * np.uint64(row) for row in range(first, stop)]
+
+
+#: Rows of `_Lanes.rows`, of samples: first light; light, and errors' factor near 0; how far frames
+#: are apart; whether it is of the frames that the first one of its cell is of; `JoinedFrames`.
+_FIRST, _LIGHT, _NARROWER, _APART, _IS_EVEN = _starts(0, 5)
+_ABOVE, _WEIGHTS, _OWN, _SHARED, _MORE, _SQUARES, _COUNT, _LEAST = _starts(5, 13)
+#: Of frames together: light that they lose, the least and the most that there may be, and the
+#: brightest and the darkest one that is seen.
+_LOST, _LOW, _HIGH, _BRIGHTEST, _DARKEST = _starts(13, 18)
+#: Of one frame: variance of colours; noise, error as light, both; light that others show, its
+#: deviation, that of the difference; whether the sample counts, and its weight.
+_CHROMA, _NOISE, _ERROR, _BOTH, _MEAN, _KNOWN, _SPREAD, _COUNTS, _WEIGHT = _starts(18, 27)
+_ROWS = 27
+#: Rows of `_Lanes.seen`, of each frame: value; error of its colours, levels; the least error of its
+#: light; 1 where another colour hides the sample, 2 where it may be saturated.
+_VALUE, _LEVELS, _LEAST_ERROR, _HIDING = _starts(0, 4)
+
+
+class _Lanes(NamedTuple):
+    """What is known of samples of some cells, side by side: the first ones of these come first.
+
+    Attributes:
+        rows: `_SAMPLES` each
+        seen: rows of each frame, (n, 4 x `_SAMPLES`)
+        shown: of a sample in each frame, see `Tables.of_values`, (n, 4 x `_SAMPLES`)
+        pairs: the same, as `Tables.pairs`
+        levels: of a frame
+        bins: of light
+        cells: which they are
+    """
+
+    rows: Floats32
+    seen: Floats32
+    shown: Floats32
+    pairs: NDArray[np.complex128]
+    levels: NDArray[np.uint32]
+    bins: NDArray[np.uint32]
+    cells: NDArray[np.uint64]
+
+    @classmethod
+    def new(cls, frames: int) -> _Lanes:
+        """Return some of no cells."""
+        count = int(_SAMPLES)
+        pairs = np.zeros((frames, count), np.complex128)
+        return cls(
+            np.zeros(_ROWS * count, np.float32),
+            np.zeros((frames, 4 * count), np.float32),
+            pairs.view(np.float32),
+            pairs,
+            np.zeros(count, np.uint32),
+            np.zeros(count, np.uint32),
+            np.zeros(int(_CELLS), np.uint64),
+        )
 
 
 def tables_of(tables: LightTables) -> Tables:
@@ -73,61 +120,70 @@ def _probability(x: float) -> float:
 
 
 @_compiled
-def _bin(tables: Tables, light: np.float32) -> int:
-    inside = min(max(light, tables.ends[0]), tables.ends[1])
-    return int(np.float32(inside).view(np.uint32) >> _DROPPED) - tables.first
-
-
-@_compiled
-def _bin_of_cell(cells: Cells, tables: Tables, cell: int) -> int:
-    light = cells.light
-    mean = ((light[0, cell] + light[1, cell]) + light[2, cell]) + light[3, cell]
-    of_light: int = _bin(tables, mean * _QUARTER)
+def _bin(tables: Tables, light: np.float32) -> np.uint32:
+    inside = np.float32(min(max(light, tables.ends[0]), tables.ends[1]))
+    of_light: np.uint32 = (inside.view(np.uint32) >> _DROPPED) - np.uint32(tables.first)
     return of_light
 
 
 @_compiled
-def _above_zero(
-    tables: Tables, mean: np.float32, weights: np.float32
-) -> tuple[np.float32, np.float32]:
-    """Return the posterior mean above 0 of light with a sum of weights, and its error's factor."""
-    spread = np.sqrt(_ONE / weights)
-    if mean >= tables.ends[4] * spread:
-        return mean, _ONE
-    far = max(float(mean) / spread, -REACH)
-    larger = math.exp(-far * far / 2) / math.sqrt(2 * math.pi) / _probability(far)
-    narrower = math.sqrt(max(1 - larger * (far + larger), 1e-6))
-    return np.float32(mean + spread * larger), np.float32(narrower)
+def _begin(cells: Cells, tables: Tables, lanes: _Lanes, by_cell: bool) -> int:
+    """Set the first light of samples, and its bins; return how many frames are looked at."""
+    rows, top, last = lanes.rows, tables.ends[2], 1
+    for k in range(_FOUR):
+        for j in range(_CELLS):
+            rows[_FIRST + k * _CELLS + j] = cells.light[k, lanes.cells[j]]
+    for i in range(_SAMPLES):
+        rows[_LOST + i] = rows[_LOW + i] = rows[_BRIGHTEST + i] = _ZERO
+        rows[_HIGH + i] = rows[_DARKEST + i] = _BEYOND
+        lanes.bins[i] = _bin(tables, rows[_FIRST + i])
+    if by_cell:
+        for j in range(_CELLS):
+            lane = _FIRST + j
+            both = rows[lane] + rows[lane + _CELLS]
+            mean = (both + rows[lane + _TWO * _CELLS]) + rows[lane + _THREE * _CELLS]
+            for k in range(_FOUR):
+                lanes.bins[k * _CELLS + j] = _bin(tables, mean * _QUARTER)
+    for each in range(1, len(tables.order)):
+        at = tables.order[each]
+        for j in range(_CELLS):
+            for k in range(_FOUR):
+                last = each + 1 if cells.values[at, k, lanes.cells[j]] <= top else last
+    return last
 
 
 @_compiled
-def _look(cells: Cells, tables: Tables, place: Place, shown: Floats32) -> np.float32:
-    """Set what frames show of a sample; return how far they are apart where they contradict."""
-    cell, k, last = place
-    top, reach, offset = tables.ends[2], tables.ends[4], tables.ends[5]
-    low, high, lost = _ZERO, _BEYOND, _ZERO
-    for each in range(last):
-        at = tables.order[each]
-        value, error = cells.values[at, k, cell], cells.errors[at, cell]
-        sample, square = tables.of_values[at, value, 0], tables.of_values[at, value, 1]
-        noise = tables.of_values[at, value, 2]
-        saturated = value > top - reach * error
-        unseen = saturated or cells.hidden[at, k, cell]
-        shown[each, 0] = sample
-        shown[each, 1] = np.sqrt(lost) if tables.of_values[at, value, 3] < lost else _ZERO
-        shown[each, 2] = _ONE if saturated else _ZERO
-        shown[each, 3] = _ONE if unseen else _ZERO
-        lost = max(lost, square * cells.of_chroma[at, cell] - noise)
-        if not unseen:
-            reached = np.sqrt(square * (error * error + offset) + noise) * reach
-            low, high = max(low, sample - reached), min(high, sample + reached)
-    if low <= high:
-        return _ZERO
-    brightest, darkest = _ZERO, _BEYOND
-    for each in range(last):
-        if shown[each, 3] == _ZERO:
-            brightest, darkest = max(brightest, shown[each, 0]), min(darkest, shown[each, 0])
-    return brightest - darkest
+def _look(cells: Cells, tables: Tables, lanes: _Lanes, each: int) -> bool:
+    """Set what a frame shows of samples; return whether it may be that some are saturated."""
+    rows, seen, shown, at = lanes.rows, lanes.seen[each], lanes.shown[each], tables.order[each]
+    top, reach, offset, some = tables.ends[2], tables.ends[4], tables.ends[5], _NONE
+    for k in range(_FOUR):
+        for j in range(_CELLS):
+            lane, c = k * _CELLS + j, lanes.cells[j]
+            lanes.levels[lane] = cells.values[at, k, c]
+            seen[_HIDING + lane] = _ONE if cells.hidden[at, k, c] else _ZERO
+            seen[_LEVELS + lane], rows[_CHROMA + lane] = cells.errors[at, c], cells.of_chroma[at, c]
+    for i in range(_SAMPLES):
+        lanes.pairs[each, i] = tables.pairs[at, lanes.levels[i]]
+    for i in range(_SAMPLES):
+        value, error, lost = np.float32(lanes.levels[i]), seen[_LEVELS + i], rows[_LOST + i]
+        sample, square, noise = shown[_FOUR * i], shown[_FOUR * i + _ONCE], shown[_FOUR * i + _TWO]
+        is_dim = shown[_FOUR * i + _THREE] < lost
+        seen[_VALUE + i], seen[_LEAST_ERROR + i] = value, np.sqrt(lost) if is_dim else _ZERO
+        hiding = _SATURATED if value > top - reach * error else seen[_HIDING + i]
+        some |= _SOME if (hiding == _SATURATED) & (value <= top) else _NONE
+        seen[_HIDING + i] = hiding
+        rows[_LOST + i] = max(lost, square * rows[_CHROMA + i] - noise)
+        reached = np.sqrt(square * (error * error + offset) + noise) * reach
+        is_seen = hiding == _ZERO
+        least, most = sample - reached, sample + reached
+        low, high = rows[_LOW + i], rows[_HIGH + i]
+        brightest, darkest = rows[_BRIGHTEST + i], rows[_DARKEST + i]
+        rows[_LOW + i] = max(low, least) if is_seen else low
+        rows[_HIGH + i] = min(high, most) if is_seen else high
+        rows[_BRIGHTEST + i] = max(brightest, sample) if is_seen else brightest
+        rows[_DARKEST + i] = min(darkest, sample) if is_seen else darkest
+    return bool(some > _NONE)
 
 
 @_compiled
@@ -151,150 +207,182 @@ def _chance_of_seeing(
 
 
 @_compiled
-def _join(cells: Cells, tables: Tables, place: Place, of_light: int, shown: Floats32) -> Sums:
-    """Return the sums of a sample, with the noise of a bin of light."""
-    cell, k, last = place
-    above = weights = own = shared = more = squares = count = least = _ZERO
-    which, reach, top = 0, tables.ends[4], tables.ends[2]
+def _weigh(tables: Tables, lanes: _Lanes, each: int) -> None:
+    """Set the weights of samples of a frame, but for the chance that they are seen."""
+    rows, seen, shown, at = lanes.rows, lanes.seen[each], lanes.shown[each], tables.order[each]
+    reach, top, full = tables.ends[4], tables.ends[2], tables.full[at]
+    for i in range(_SAMPLES):
+        of_light = lanes.bins[i]
+        noise = tables.of_bins[at, of_light, 0]
+        rows[_COUNTS + i] = _ZERO if tables.clipped[at, of_light] else _ONE
+        rows[_NOISE + i], rows[_ERROR + i] = noise, tables.of_bins[at, of_light, 1]
+    for i in range(_SAMPLES):
+        noise, error = rows[_NOISE + i], seen[_LEVELS + i] * rows[_ERROR + i]
+        hiding, sample, least = seen[_HIDING + i], shown[_FOUR * i], rows[_LEAST + i]
+        both, weights, shared = noise + error * error, rows[_WEIGHTS + i], rows[_SHARED + i]
+        is_known, is_saturated = weights > _ZERO, hiding == _SATURATED
+        total, above = weights if is_known else _ONE, rows[_ABOVE + i]
+        mean = above / total
+        known = np.sqrt(rows[_OWN + i] + shared * shared) / total
+        spread = np.sqrt(known * known + both)
+        is_bright = above > full * _QUARTER * weights
+        is_off = is_bright & (sample < mean - reach * spread)
+        is_off |= (is_bright | is_saturated) & (mean - reach * known > full)
+        is_off = is_off if is_known else is_saturated
+        reached = reach * np.sqrt(both)
+        is_off |= ((hiding > _ZERO) | (least > _ZERO)) & (sample + reached < least)
+        counts = (rows[_COUNTS + i] > _ZERO) & (seen[_VALUE + i] <= top) & (not is_off)
+        rows[_LEAST + i] = max(least, sample - reached) if hiding > _ZERO else least
+        rows[_COUNTS + i] = _ONE if counts else _ZERO
+        rows[_WEIGHT + i] = _ONE / both if counts else _ZERO
+        rows[_ERROR + i], rows[_BOTH + i] = error, both
+        rows[_MEAN + i], rows[_KNOWN + i], rows[_SPREAD + i] = mean, known, spread
+
+
+@_compiled
+def _lessen(tables: Tables, lanes: _Lanes, each: int) -> None:
+    """Multiply weights of samples that may be saturated by the chance that they are seen."""
+    rows, seen, shown, white = lanes.rows, lanes.seen[each], lanes.shown[each], tables.ends[3]
+    full = tables.full[tables.order[each]]
+    for i in range(_SAMPLES):
+        if rows[_COUNTS + i] > _ZERO and seen[_HIDING + i] == _SATURATED:
+            mean, known, spread = rows[_MEAN + i], rows[_KNOWN + i], rows[_SPREAD + i]
+            below = (white - seen[_VALUE + i]) / seen[_LEVELS + i]
+            sample, error = shown[_FOUR * i], rows[_ERROR + i]
+            rows[_WEIGHT + i] *= _chance_of_seeing(mean, known, spread, sample, error, below, full)
+
+
+@_compiled
+def _add(lanes: _Lanes, each: int) -> None:
+    """Add the samples of a frame."""
+    rows, seen, shown = lanes.rows, lanes.seen[each], lanes.shown[each]
+    for i in range(_SAMPLES):
+        weight, sample, error = rows[_WEIGHT + i], shown[_FOUR * i], rows[_ERROR + i]
+        weighted, more = weight * sample, seen[_LEAST_ERROR + i] - error
+        rows[_ABOVE + i] += weighted
+        rows[_WEIGHTS + i] += weight
+        rows[_OWN + i] += weight * weight * rows[_NOISE + i]
+        rows[_SHARED + i] += weight * error
+        rows[_SQUARES + i] += weighted * sample
+        rows[_COUNT + i] += weight * rows[_BOTH + i]
+        rows[_MORE + i] += weight * max(more, _ZERO)
+    for k in range(_ONCE, _FOUR):
+        for j in range(_CELLS):
+            lane = k * _CELLS + j
+            is_as_first = rows[_COUNTS + lane] == rows[_COUNTS + j]
+            rows[_IS_EVEN + lane] = rows[_IS_EVEN + lane] if is_as_first else _ZERO
+
+
+@_compiled
+def _join(tables: Tables, lanes: _Lanes, last: int, dim: NDArray[np.bool_]) -> None:
+    """Set the sums of samples, with the noise of their bins of light, and their light."""
+    rows = lanes.rows
+    for row in (_ABOVE, _WEIGHTS, _OWN, _SHARED, _MORE, _SQUARES, _COUNT, _LEAST):
+        for i in range(_SAMPLES):
+            rows[row + i] = _ZERO
+    for i in range(_SAMPLES):
+        rows[_IS_EVEN + i] = _ONE
     for each in range(last):
-        at = tables.order[each]
-        value, levels = cells.values[at, k, cell], cells.errors[at, cell]
-        sample, saturated, unseen = shown[each, 0], shown[each, 2] > _ZERO, shown[each, 3] > _ZERO
-        noise, error = tables.of_bins[at, of_light, 0], levels * tables.of_bins[at, of_light, 1]
-        both, full = noise + error * error, tables.full[at]
-        counts = value <= top and not tables.clipped[at, of_light]
-        mean = known = spread = _ZERO
+        _weigh(tables, lanes, each)
+        if dim[each]:
+            _lessen(tables, lanes, each)
+        _add(lanes, each)
+    reach = tables.ends[4]
+    for i in range(_SAMPLES):
+        weights, light, narrower = rows[_WEIGHTS + i], rows[_FIRST + i], _ONE
         if weights > _ZERO:
-            is_bright = above > full * _QUARTER * weights
-            if counts and (is_bright or saturated):
-                mean = above / weights
-                known = np.sqrt(own + shared * shared) / weights
-                spread = np.sqrt(known * known + both)
-                too_dark = is_bright and sample < mean - reach * spread
-                counts = not (too_dark or mean - reach * known > full)
-        elif saturated:
-            counts = False
-        if not (counts or unseen):
-            continue
-        if unseen or least > _ZERO:
-            reached = reach * np.sqrt(both)
-            counts = counts and sample + reached >= least
-            if unseen:
-                least = max(least, sample - reached)
-        if not counts:
-            continue
-        weight = _ONE / both
-        if saturated:
-            below = np.float32(tables.ends[3] - value) / levels
-            weight *= _chance_of_seeing(mean, known, spread, sample, error, below, full)
-        which |= 1 << each
-        weighted = weight * sample
-        above += weighted
-        weights += weight
-        own += weight * weight * noise
-        shared += weight * error
-        squares += weighted * sample
-        count += weight * both
-        if shown[each, 1] > error:
-            more += weight * (shown[each, 1] - error)
-    return above, weights, own, shared, more, squares, count, which
+            light, spread = rows[_ABOVE + i] / weights, np.sqrt(_ONE / weights)
+            if light < reach * spread:
+                light, narrower = _above_zero(light, spread)
+        rows[_LIGHT + i], rows[_NARROWER + i] = light, narrower
 
 
 @_compiled
-def _write(
-    cells: Cells, found: CellsLight, tables: Tables, place: Place, sums: Sums, apart: np.float32
-) -> None:
-    """Set what is found of a sample."""
-    cell, k, _ = place
-    above, weights, own, shared, more, squares, count, _ = sums
-    light, deviation = cells.light[k, cell], cells.deviation[k, cell]
-    common = cells.common[cell] + apart * _HALF
-    if weights > _ZERO:
-        light, narrower = _above_zero(tables, above / weights, weights)
-        if not np.isnan(deviation):
-            deviation = narrower * np.sqrt(own) / weights
-        common = max(narrower * (shared + more) / weights, apart * _HALF)
-        found.scatter[0, k, cell] = max(squares - above * above / weights, _ZERO)
-        found.scatter[1, k, cell] = count - (own + shared * shared) / weights
-    elif not np.isnan(deviation):
-        at = tables.order[0]
-        limit = tables.ends[2] - tables.ends[4] * cells.errors[at, cell]
-        if cells.hidden[at, k, cell] or cells.values[at, k, cell] > limit:
+def _above_zero(mean: np.float32, spread: np.float32) -> tuple[np.float32, np.float32]:
+    """Return the posterior mean above 0 of light, and its error's factor."""
+    far: float = max(float(mean) / float(spread), -REACH)
+    larger = math.exp(-far * far / 2) / math.sqrt(2 * math.pi) / _probability(far)
+    narrower = math.sqrt(max(1 - larger * (far + larger), 1e-6))
+    return np.float32(mean + spread * larger), np.float32(narrower)
+
+
+@_compiled
+def _write(cells: Cells, tables: Tables, lanes: _Lanes, found: CellsLight, j: np.uint64) -> None:
+    """Set what is found of the samples of a cell."""
+    rows, c, at = lanes.rows, lanes.cells[j], tables.order[0]
+    limit = tables.ends[2] - tables.ends[4] * cells.errors[at, c]
+    for k in range(_FOUR):
+        i = k * _CELLS + j
+        weights, shared, apart = rows[_WEIGHTS + i], rows[_SHARED + i], rows[_APART + i]
+        deviation, common = cells.deviation[k, c], cells.common[c] + apart * _HALF
+        is_known, scatter, expected = deviation == deviation, _ZERO, _ZERO
+        if weights > _ZERO:
+            own, above, narrower = rows[_OWN + i], rows[_ABOVE + i], rows[_NARROWER + i]
+            deviation = narrower * np.sqrt(own) / weights if is_known else deviation
+            common = max(narrower * (shared + rows[_MORE + i]) / weights, apart * _HALF)
+            scatter = max(rows[_SQUARES + i] - above * above / weights, _ZERO)
+            expected = rows[_COUNT + i] - (own + shared * shared) / weights
+        elif is_known and (cells.hidden[at, k, c] or cells.values[at, k, c] > limit):
             deviation = _INFINITE
-    found.light[k, cell], found.deviation[k, cell] = light, deviation
-    found.common[k, cell] = common
+        found.light[k, c], found.deviation[k, c] = rows[_LIGHT + i], deviation
+        found.common[k, c] = common
+        found.scatter[0, k, c], found.scatter[1, k, c] = scatter, expected
 
 
 @_compiled
-def _join_evenly(
-    cells: Cells, tables: Tables, found: CellsLight, place: Place, shown: Floats32
-) -> bool:
-    """Do the same where samples may be saturated, with a weight of each."""
-    cell, _, last = place
-    of_light, which = _bin_of_cell(cells, tables, cell), 0
-    for k in range(4):
-        if _look(cells, tables, (cell, k, last), shown) > _ZERO:
-            return False
-        sums = _join(cells, tables, (cell, k, last), of_light, shown)
-        if (k > 0 and sums[7] != which) or not sums[1] > _ZERO:
-            return False
-        which = sums[7]
-        _write(cells, found, tables, (cell, k, last), sums, _ZERO)
-    return True
+def _is_even(lanes: _Lanes, j: np.uint64) -> bool:
+    """Return whether all samples of a cell are of the same frames, which agree."""
+    is_even = True
+    for k in range(_FOUR):
+        i = k * _CELLS + j
+        is_even &= lanes.rows[_IS_EVEN + i] > _ZERO and lanes.rows[_WEIGHTS + i] > _ZERO
+        is_even &= lanes.rows[_APART + i] == _ZERO
+    return is_even
 
 
 @_compiled
-def _join_each(
-    cells: Cells, tables: Tables, found: CellsLight, place: Place, shown: Floats32
-) -> None:
-    """Set the light of each sample of a cell by itself."""
-    cell, _, last = place
-    for k in range(4):
-        apart = _look(cells, tables, (cell, k, last), shown)
-        of_light = _bin(tables, cells.light[k, cell])
-        sums = _join(cells, tables, (cell, k, last), of_light, shown)
-        light = cells.light[k, cell]
-        if sums[1] > _ZERO:
-            light, _ = _above_zero(tables, sums[0] / sums[1], sums[1])
-        again = _bin(tables, light)
-        if again != of_light:
-            sums = _join(cells, tables, (cell, k, last), again, shown)
-        _write(cells, found, tables, (cell, k, last), sums, apart)
-
-
-@_compiled
-def _join_cells(
+def _join_some(
     cells: Cells,
     tables: Tables,
-    chosen: NDArray[np.bool_],
-    mixed: NDArray[np.bool_],
+    places: NDArray[np.intp],
+    by_cell: bool,
     found: CellsLight,
-    lanes: Lanes,
-    shown: Floats32,
+    lanes: _Lanes,
+    dim: NDArray[np.bool_],
+    state: NDArray[np.uint8],
 ) -> None:
-    for start in range(0, len(chosen), AT_ONCE):
-        count, rest = min(AT_ONCE, len(chosen) - start), 0
-        for cell in range(start, start + count):
-            rest += chosen[cell]
-        if rest == 0:
-            continue
-        join_alike(cells, tables, chosen, mixed, found, lanes, np.uint64(start), np.uint64(count))
-        for j in range(count):
-            cell = start + j
-            if not chosen[cell] or is_alike(lanes, np.uint64(j)):
+    rows, count = lanes.rows, np.uint64(len(places))
+    for start in range(_NULL, count, _CELLS):
+        for j in range(_CELLS):
+            place = start + j
+            # The last cell again where there are no more.
+            lanes.cells[j] = places[place if place < count else count - _ONCE]
+        last = _begin(cells, tables, lanes, by_cell)
+        for each in range(last):
+            dim[each] = _look(cells, tables, lanes, each)
+        for i in range(_SAMPLES):
+            is_apart = rows[_LOW + i] > rows[_HIGH + i]
+            rows[_APART + i] = rows[_BRIGHTEST + i] - rows[_DARKEST + i] if is_apart else _ZERO
+        for again in range(1 if by_cell else 2):
+            if again:
+                for i in range(_SAMPLES):
+                    lanes.bins[i] = _bin(tables, rows[_LIGHT + i])
+            _join(tables, lanes, last, dim)
+        for j in range(_CELLS):
+            if by_cell and not _is_even(lanes, j):
                 continue
-            place = cell, 0, last_frame(lanes, np.uint64(j))
-            if mixed[cell] or not _join_evenly(cells, tables, found, place, shown):
-                _join_each(cells, tables, found, place, shown)
+            _write(cells, tables, lanes, found, j)
+            state[lanes.cells[j]] = DONE
 
 
 def join_cells(
-    tables: LightTables,
-    cells: Cells,
-    chosen: NDArray[np.bool_],
-    mixed: NDArray[np.bool_],
-    found: CellsLight,
+    tables: LightTables, cells: Cells, chosen: NDArray[np.bool_], found: CellsLight
 ) -> None:
-    """Set the light of chosen cells, that of `mixed` ones sample by sample."""
-    shown = np.empty((len(cells.values), 8), np.float32)
-    _join_cells(cells, tables_of(tables), chosen, mixed, found, Lanes.new(), shown)
+    """Set the light of cells, that of chosen ones from frames whose errors change weights."""
+    of_colour, count = tables_of(tables), len(cells.values)
+    state = join_alike(cells, of_colour, chosen, found)
+    lanes, dim = _Lanes.new(count), np.empty(count, np.bool_)
+    for by_cell in (True, False):
+        # Samples of mixed cells, and of others that are of several frames, have their own weights.
+        places = np.flatnonzero(state == OTHER if by_cell else state != DONE)
+        _join_some(cells, of_colour, places, by_cell, found, lanes, dim, state)

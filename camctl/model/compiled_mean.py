@@ -21,6 +21,9 @@ _compiled = compiler(are_joined=True) or (lambda function: function)
 _AT_ONCE = np.uint64(512)
 _NEAR_ZERO = np.float32(CLIPPING_SIGMAS)
 
+#: Of a sample: `LightTables.mean` says no more about it; it does; all frames are saturated.
+_PLAIN, _SPECIAL, _WHITE = (np.uint8(x) for x in range(3))
+
 
 class _Tables(NamedTuple):
     """See `LightTables`.
@@ -60,7 +63,7 @@ def _mean(
     work: NDArray[np.uint32],
     light: Floats32,
     deviation: Floats32,
-    special: NDArray[np.bool_],
+    kinds: NDArray[np.uint8],
 ) -> None:
     count, top = values.shape[1], np.uint32(len(tables.first) - 1)
     for first in range(np.uint64(0), np.uint64(count), _AT_ONCE):
@@ -71,7 +74,7 @@ def _mean(
             for j in range(here):
                 work[j] += np.uint32(values[at, first + j])
         for j in range(here):
-            special[first + j] = work[j] == top
+            kinds[first + j] = _WHITE if work[j] == top else _PLAIN
         for j in range(here):
             work[j] = tables.first[work[j]]
         for at in range(len(values)):
@@ -89,21 +92,23 @@ def _mean(
                 light[first + j] += tables.weights[at, work[j]] * sample
         for j in range(here):
             deviation[first + j] = tables.deviation[work[j]]
-            special[first + j] |= tables.is_special[work[j]]
+            is_special = tables.is_special[work[j]]
+            kinds[first + j] = max(kinds[first + j], _SPECIAL if is_special else _PLAIN)
         for j in range(here):
-            special[first + j] |= deviation[first + j] * _NEAR_ZERO > light[first + j]
+            is_special = deviation[first + j] * _NEAR_ZERO > light[first + j]
+            kinds[first + j] = max(kinds[first + j], _SPECIAL if is_special else _PLAIN)
 
 
 def mean(
     tables: LightTables, values: NDArray[np.uint8]
-) -> tuple[Floats32, Floats32, NDArray[np.intp]]:
+) -> tuple[Floats32, Floats32, NDArray[np.intp], NDArray[np.intp]]:
     """Return the light of samples of each frame, (n, S), and its standard deviation.
 
-    The last result are the samples that `LightTables.mean` says more about, or that are saturated
-    in each frame.
+    The last results are the samples that `LightTables.mean` says more about, and those that are
+    saturated in each frame: nothing is said of these.
     """
     light, deviation = np.empty((2, values.shape[1]), np.float32)
-    special = np.empty(values.shape[1], np.bool_)
+    kinds = np.empty(values.shape[1], np.uint8)
     work = np.empty(int(_AT_ONCE), np.uint32)
-    _mean(values, _Tables.of(tables), work, light, deviation, special)
-    return light, deviation, np.flatnonzero(special)
+    _mean(values, _Tables.of(tables), work, light, deviation, kinds)
+    return light, deviation, np.flatnonzero(kinds == _SPECIAL), np.flatnonzero(kinds == _WHITE)

@@ -114,12 +114,14 @@ def _first_light(
     if compiled is None:
         found = estimate(list(samples), samples.sum(axis=0, dtype=np.uint32))
     else:
-        *found, special = compiled.mean(tables, samples)
-        if special.size:
-            some = samples[:, special]
-            of_some = estimate(list(some), some.sum(axis=0, dtype=np.uint32))
-            for whole, each in zip(found, of_some, strict=True):
-                whole[special] = each
+        *found, special, white = compiled.mean(tables, samples)
+        # What is saturated in each frame has one light.
+        for places, asked in ((special, special), (white, white[:1])):
+            if asked.size:
+                some = samples[:, asked]
+                of_some = estimate(list(some), some.sum(axis=0, dtype=np.uint32))
+                for whole, each in zip(found, of_some, strict=True):
+                    whole[places] = each
     light, deviation = (each.reshape(4, -1) for each in found)
     return light, deviation
 
@@ -149,11 +151,9 @@ def _replace(
         light: (rows, columns)
         deviation: likewise
     """
-    is_saturated = (cells.values > tables.sensor.highest(None)).all(axis=1)
-    mixed = np.asarray((cells.hidden.any(axis=1) & ~is_saturated).any(axis=0))
-    both, common = (cells.light.copy(), cells.deviation.copy()), np.tile(cells.common, (4, 1))
-    found = CellsLight(*both, common, np.zeros((2, *common.shape), np.float32))
-    (compiled.join_cells if compiled else _join_cells)(tables, cells, chosen, mixed, found)
+    empty = np.empty((5, *cells.light.shape), np.float32)
+    found = CellsLight(empty[0], empty[1], empty[2], empty[3:])
+    (compiled.join_cells if compiled else _join_cells)(tables, cells, chosen, found)
     shape = light.shape[0] // 2, -1
     scatter = np.stack(
         [box_means(each.reshape(shape), _AROUND) for each in found.scatter.sum(axis=1)]
@@ -165,7 +165,7 @@ def _replace(
     ratio = np.sqrt((measured + _KNOWN) / (expected + _KNOWN))
     own = found.deviation * np.where(chosen, ratio, np.float32(1))
     # Four times as fast as `np.hypot`; none of them is so small that its square vanishes.
-    own = np.sqrt(np.square(own) + np.square(common))
+    own = np.sqrt(np.square(own) + np.square(found.common))
     for whole, each in ((light, found.light), (deviation, own)):
         _cells_of(whole)[...] = each.reshape(2, 2, *_cells_of(whole).shape[2:])
 
@@ -183,10 +183,13 @@ def _join_cells(
     tables: LightTables,
     cells: Cells,
     chosen: NDArray[np.bool_],
-    mixed: NDArray[np.bool_],
     found: CellsLight,
 ) -> None:
-    """Find the light of chosen cells; that of `mixed` ones sample by sample."""
+    """Find the light of chosen cells; that of those that another colour hides sample by sample."""
+    is_saturated = (cells.values > tables.sensor.highest(None)).all(axis=1)
+    mixed = np.asarray((cells.hidden.any(axis=1) & ~is_saturated).any(axis=0))
+    found.light[...], found.deviation[...] = cells.light, cells.deviation
+    found.common[...], found.scatter[...] = cells.common, 0
 
     def join(places: NDArray[np.intp], *, by_cell: bool) -> NDArray[np.intp]:
         """Find the light of cells or samples; return the cells that have no weights for all."""

@@ -72,10 +72,9 @@ def _fill(cells: NDArray[Any], at: int, row: int, found: Floats32, means: Floats
     `means` become those of red, green and blue, and what is between green and the rows beside it.
     """
     last, columns = cells.shape[3] - 1, cells.shape[4]
-    for colour in range(3):
-        _mean(cells, at, colour, row, means, colour)
-    _mean(cells, at, 1, max(row - 1, 0), means, 3)
-    _mean(cells, at, 1, min(row + 1, last), means, 4)
+    for k in range(5):
+        beside = max(row - 1, 0) if k == 3 else min(row + 1, last)
+        _mean(cells, at, k if k < 3 else 1, row if k < 3 else beside, means, k)
     for c in range(columns):
         red, blue = means[0, c], means[2, c]
         Y = red * _RED + means[1, c] * _ONLY_GREEN + blue * _BLUE
@@ -177,10 +176,12 @@ def _chroma_variance(
     found: Floats32,
 ) -> None:
     rows = cells.shape[3]
-    _fill(cells, at, 0, quantities[0], rows_of_means[0])
-    for row in range(rows):
-        if row + 1 < rows:
-            _fill(cells, at, row + 1, quantities[(row + 1) % 3], rows_of_means[(row + 1) % 3])
+    for after in range(rows + 1):
+        if after < rows:
+            _fill(cells, at, after, quantities[after % 3], rows_of_means[after % 3])
+        row = after - 1
+        if row < 0:
+            continue
         here = row % 3, max(row - 1, 0) % 3, min(row + 1, rows - 1) % 3
         _mean_around(quantities, here, sums, means)
         for k in range(4):
