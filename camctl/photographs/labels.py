@@ -21,13 +21,13 @@ from camctl.errors import DataError
 from camctl.evidence.patches import Patches
 from camctl.findings import Detail, Finding
 from camctl.model.response.camera import FloatArray
-from camctl.model.sensor import FILE_OFFSET, SensorModel
+from camctl.model.sensor import FILE_OFFSET
 from camctl.photographs.camera import Photograph, at, detailed
 from camctl.photographs.ratios import (
     MOST_CORRECTED,
     SIGMAS,
     STEADY,
-    exposure_runs,
+    Neighbours,
     steady_errors,
 )
 
@@ -135,8 +135,7 @@ def _jumps(stated: FloatArray, found: FloatArray) -> FloatArray:
 
 def wrong_labels(
     photographs: Sequence[Photograph],
-    patches: Sequence[Patches],
-    scale: SensorModel,
+    neighbours: Neighbours,
     *,
     is_exact: bool,
     is_known: bool,
@@ -146,8 +145,7 @@ def wrong_labels(
 
     Args:
         photographs: with the exposures that are used
-        patches: samples of each
-        scale: of the camera's response
+        neighbours: of which brightness they are
         is_exact: the exposures were not corrected from the pixels
         is_known: the response is, and not estimated from the photographs with their exposures
         is_assumed: nothing says that the response is the right one: no photograph is named
@@ -155,7 +153,7 @@ def wrong_labels(
     limit = math.log(_WRONG_EXACT if is_exact and is_known else MOST_CORRECTED)
     least_agree = _AGREE_WITH if is_known else _AGREE_WITHOUT
     found = LabelErrors()
-    runs = exposure_runs(photographs, patches, scale)
+    runs = neighbours.runs(photographs)
     if alone := tuple(sorted(run.members[0] for run in runs if len(run.members) == 1)):
         found.facts.append(Finding(code="label_unchecked", frames=alone))
     carried = 0.0

@@ -9,12 +9,13 @@ that small errors do not add up over a long series.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from camctl.calibration.limits import DARK
 from camctl.errors import DataError
@@ -25,6 +26,7 @@ from camctl.findings import Detail, Finding
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import FILE_OFFSET, SensorModel
 from camctl.photographs.camera import Photograph
+from camctl.system.picture_operations import looked_up
 
 #: Standard deviations of the errors that patches of one brightness share beside the offset of a
 #: photograph, levels of 255; and of another error, relative, lest one cell decides.
@@ -69,9 +71,40 @@ class PairRatio(NamedTuple):
     of_curve: float
 
 
-def pair_ratio(
-    first: Patches, second: Patches, scale: SensorModel, darkest: float = DARK
-) -> PairRatio | None:
+class _Seen(NamedTuple):
+    """What the patches of a photograph show, (patches,) each.
+
+    Attributes:
+        brightness: above black, levels of 255
+        is_whole: whether no sample is saturated
+        log: logarithm of the light
+        slope: d ln(light) / d(brightness), per level of 255
+        of_curve: error of the logarithm from the response
+    """
+
+    brightness: FloatArray
+    is_whole: NDArray[np.bool_]
+    log: FloatArray
+    slope: FloatArray
+    of_curve: FloatArray
+
+    @classmethod
+    def of(cls, patches: Patches, scale: SensorModel) -> _Seen:
+        """Look at patches, see `sample_patches`, by the irradiance of each brightness."""
+        unit = (scale.white - scale.black) / 255
+        mean = patches.mean(axis=1)
+        light = np.maximum(looked_up(scale.light, patches).mean(axis=1), scale.level / 1000)
+        level = np.rint(mean).astype(np.intp)
+        return cls(
+            (mean - scale.black) / unit,
+            patches.max(axis=1) <= scale.highest(None),
+            np.log(light),
+            scale.gap[level] * unit / light,
+            scale.deviation[level],
+        )
+
+
+def _pair_ratio(first: _Seen, second: _Seen, darkest: float = DARK) -> PairRatio | None:
     """Return the ratio of the light in most patches of two photographs; None: they do not show it.
 
     An offset b of the darker photograph changes the logarithm of the ratio of patches of one
@@ -79,28 +112,19 @@ def pair_ratio(
     determine the ratio and b, and their scatter says how well.
 
     Args:
-        first: patches of one photograph, see `sample_patches`
-        second: of the other
-        scale: irradiance of each brightness
+        first: one photograph
+        second: the other
         darkest: brightness from which on patches count, share of full scale
     """
-    unit = (scale.white - scale.black) / 255
-    use = np.ones(len(first), np.bool_)
-    logs, slopes, of_curve = (np.zeros(len(first)) for _ in range(3))
-    dim = np.full(len(first), np.inf)
-    for patches, sign in ((first, -1), (second, 1)):
-        mean = patches.mean(axis=1)
-        dim = np.minimum(dim, (mean - scale.black) / unit)
-        use &= patches.max(axis=1) <= scale.highest(None)
-        light = np.maximum(scale.light[patches].mean(axis=1), scale.level / 1000)
-        logs += sign * np.log(light)
-        level = np.rint(mean).astype(np.intp)
-        slopes = np.hypot(slopes, scale.gap[level] * unit / light)
-        of_curve = np.hypot(of_curve, scale.deviation[level])
-    use &= dim > 255 * darkest
+    dim = np.minimum(first.brightness, second.brightness)
+    use = first.is_whole & second.is_whole & (dim > 255 * darkest)
     if np.count_nonzero(use) < _LEAST:
         return None
-    logs, slopes, of_curve = logs[use], slopes[use], of_curve[use]
+    logs = (second.log - first.log)[use]
+    slopes, of_curve = (
+        np.hypot(*pair)[use]
+        for pair in ((first.slope, second.slope), (first.of_curve, second.of_curve))
+    )
     cell = np.log2(dim[use] / 255) // _CELL
     cells = [cell == each for each in np.unique(cell)]
     cells = [each for each in cells if np.count_nonzero(each) >= _LEAST / 2]
@@ -141,15 +165,29 @@ class Run:
 _Jump = tuple[float, float] | None
 
 
-def _runs(patches: Sequence[Patches], jump: Callable[[int, int], _Jump]) -> list[Run]:
-    """Return the runs of photographs; `jump` returns jump and tolerance of a darker and a brighter.
+def _ascending(patches: Sequence[Patches]) -> list[int]:
+    """Return the positions of photographs, the darkest first."""
+    return sorted(range(len(patches)), key=lambda k: float(np.mean(patches[k])))
 
-    It returns None where the two cannot be compared.
+
+def _neighbour_ratios(
+    order: Sequence[int], patches: Sequence[Patches], scale: SensorModel, darkest: float = DARK
+) -> list[PairRatio | None]:
+    """Return the ratio of the light in each photograph but the first and the one before it."""
+    seen = (_Seen.of(patches[k], scale) for k in order)
+    return [_pair_ratio(dark, bright, darkest) for dark, bright in pairwise(seen)]
+
+
+def _runs(order: Sequence[int], jumps: Iterable[_Jump]) -> list[Run]:
+    """Return the runs of photographs.
+
+    Args:
+        order: their positions, the darkest first
+        jumps: jump and tolerance of each but the first against the one before; None: the two cannot
+            be compared
     """
-    order = sorted(range(len(patches)), key=lambda k: float(np.mean(patches[k])))
-    runs = [Run(order[:1])]
-    for dark, bright in pairwise(order):
-        found = jump(dark, bright)
+    runs = [Run([order[0]])]
+    for bright, found in zip(order[1:], jumps, strict=True):
         if found is None:
             runs.append(Run([bright]))
             continue
@@ -159,37 +197,45 @@ def _runs(patches: Sequence[Patches], jump: Callable[[int, int], _Jump]) -> list
     return runs
 
 
-def exposure_runs(
-    photographs: Sequence[Photograph], patches: Sequence[Patches], scale: SensorModel
-) -> list[Run]:
-    """Return the runs of photographs, whose light is expected to grow as their exposures.
+@dataclass(frozen=True)
+class Neighbours:
+    """The light of photographs compared with that of the next darker one.
 
-    Args:
-        photographs: with their exposures
-        patches: samples of each, see `sample_patches`
-        scale: irradiance of each brightness
+    Attributes:
+        order: their positions, the darkest first
+        ratios: of each but the first
     """
 
-    def jump(dark: int, bright: int) -> _Jump:
-        ratio = pair_ratio(patches[dark], patches[bright], scale)
-        stated = math.log(photographs[bright].exposure / photographs[dark].exposure)
-        # Where the response is not known for most of what is compared, the ratio is not, either.
-        if ratio is None or not math.isfinite(ratio.of_curve):
-            return None
-        return ratio.log - stated, ratio.error
+    order: list[int]
+    ratios: list[PairRatio | None]
 
-    return _runs(patches, jump)
+    @classmethod
+    def of(cls, patches: Sequence[Patches], scale: SensorModel) -> Neighbours:
+        """Compare photographs.
 
+        Args:
+            patches: samples of each, see `sample_patches`
+            scale: irradiance of each brightness
+        """
+        order = _ascending(patches)
+        return cls(order, _neighbour_ratios(order, patches, scale))
 
-def neighbours_differ(
-    photographs: Sequence[Photograph], patches: Sequence[Patches], scale: SensorModel
-) -> float:
-    """Return by how much neighbours in brightness differ from their exposures, in all.
+    def runs(self, photographs: Sequence[Photograph]) -> list[Run]:
+        """Return the runs of photographs, whose light is expected to grow as their exposures."""
+        exposures = [photographs[k].exposure for k in self.order]
 
-    It is the sum of the magnitudes of logarithms.  Arguments as of `exposure_runs`.
-    """
-    jumps = [jump for run in exposure_runs(photographs, patches, scale) for jump in run.jumps]
-    return float(np.abs(jumps).sum())
+        def jump(ratio: PairRatio | None, dark: float, bright: float) -> _Jump:
+            # Where the response is not known for most of what is compared, neither is the ratio.
+            if ratio is None or not math.isfinite(ratio.of_curve):
+                return None
+            return ratio.log - math.log(bright / dark), ratio.error
+
+        return _runs(self.order, map(jump, self.ratios, exposures, exposures[1:]))
+
+    def differ(self, photographs: Sequence[Photograph]) -> float:
+        """Return by how much neighbours differ from their exposures: the sum of the logarithms."""
+        jumps = [jump for run in self.runs(photographs) for jump in run.jumps]
+        return float(np.abs(jumps).sum())
 
 
 def steady_errors(jumps: Sequence[float] | FloatArray, least: Sequence[float]) -> FloatArray:
@@ -218,7 +264,13 @@ def corrected_exposures(
 
     Shutters are not exact, and film is less sensitive in long exposures.  An exposure is changed
     where the stated one lies outside the 95 % interval of the estimate, by the factor `most` at
-    most: what differs by more has a wrong label.  Arguments as of `exposure_runs`.
+    most: what differs by more has a wrong label.
+
+    Args:
+        photographs: with their exposures
+        patches: samples of each, see `sample_patches`
+        scale: irradiance of each brightness
+        most: the largest factor
     """
     result, factors = list(photographs), dict[int, float]()
     shown = sorted(comparable_frames(patches, scale))
@@ -264,8 +316,19 @@ def odd_colours(
     limit = math.log(_OTHER_COLOUR)
     odd: dict[int, dict[str, float]] = {}
     notes = []
+    order = _ascending(patches)
+    planes = [np.array_split(each, len(scales)) for each in patches]
+    ratios = [
+        _neighbour_ratios(order, [each[plane] for each in planes], scale, _DIM)
+        for plane, scale in enumerate(scales)
+    ]
     for colour, plane in _COLOURS.items():
-        for run in _colour_runs(patches, plane, scales):
+        is_alike = scales[plane] is scales[_GREEN]
+        jumps = (
+            _colour_jump(*each, is_alike=is_alike)
+            for each in zip(ratios[plane], ratios[_GREEN], strict=True)
+        )
+        for run in _runs(order, jumps):
             least = [max(STEADY * limit, each) for each in run.tolerances]
             errors = steady_errors(run.jumps, least)
             wrong = np.flatnonzero(np.abs(errors) > limit).tolist()
@@ -297,24 +360,22 @@ def _largest(factors: Mapping[Any, float]) -> float:
     return max(factors.values(), key=lambda factor: abs(math.log(factor)))
 
 
-def _colour_runs(
-    patches: Sequence[Patches], plane: int, scales: Sequence[SensorModel]
-) -> list[Run]:
-    """Return the runs of photographs, of which one colour is expected to grow as green does."""
+def _colour_jump(
+    of_colour: PairRatio | None, of_green: PairRatio | None, *, is_alike: bool
+) -> _Jump:
+    """Return by how much the light of a colour grows more than green does, and the tolerance.
 
-    def jump(dark: int, bright: int) -> _Jump:
-        both = [np.array_split(patches[k], len(scales)) for k in (dark, bright)]
-        of_colour, of_green = (
-            pair_ratio(both[0][each], both[1][each], scales[each], _DIM) for each in (plane, _GREEN)
-        )
-        if of_colour is None or of_green is None:
-            return None
-        error = math.hypot(of_colour.error, of_green.error)
-        if scales[plane] is not scales[_GREEN]:  # each curve has errors of its own
-            error = math.hypot(error, of_colour.of_curve, of_green.of_curve)
-        if error > _MOST_UNSURE:
-            return None
-        difference = of_colour.log - of_green.log
-        return difference if abs(difference) > error else 0.0, error
-
-    return _runs(patches, jump)
+    Args:
+        of_colour: its ratio in two photographs; None: they do not show it
+        of_green: that of green
+        is_alike: whether both have one curve: else each has errors of its own
+    """
+    if of_colour is None or of_green is None:
+        return None
+    error = math.hypot(of_colour.error, of_green.error)
+    if not is_alike:
+        error = math.hypot(error, of_colour.of_curve, of_green.of_curve)
+    if error > _MOST_UNSURE:
+        return None
+    difference = of_colour.log - of_green.log
+    return difference if abs(difference) > error else 0.0, error
