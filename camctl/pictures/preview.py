@@ -58,9 +58,10 @@ _UNLIT = 0.15
 #: Brightness is set by samples whose noise is less than this share of the light, of at most so
 #: many rows and columns.
 _READABLE, _MOST_READ = 0.5, 1024
-#: Rows of a band: what is made of them is small beside the picture.  Noise is filtered out of more,
-#: since those around them are, too.
-_ROWS, _CLEANED_ROWS = 64, 128
+#: Rows of a band: what is made of them is small beside the picture.
+_ROWS = 64
+#: Pixels of a band out of which noise is filtered, about: those around them are, too.
+_CLEANED = 1 << 19
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +202,8 @@ def _cleaned(light: Light) -> tuple[Floats, Floats, Floats, Floats]:
         noise[rows] = sum(channels_of(errors)) / np.float32(errors.shape[2])
         unlit[rows] = dark
 
-    _in_bands(clean, len(largest), _CLEANED_ROWS)
+    bands = -(-largest.size // _CLEANED)
+    _in_bands(clean, len(largest), -(-len(largest) // bands))
     return largest, colours, noise, unlit
 
 

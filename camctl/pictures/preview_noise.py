@@ -41,7 +41,7 @@ _LOG2_E = np.float32(1 / np.log(2))
 _SMOOTHEST, _OF_NOISE = 0.1, 3.4895 / 9
 #: Windows that are looked at: so many rows and columns of them at most; and groups of equal light,
 #: of at least so many: a share of 0.1 of them is then known to a tenth.
-_MOST_WINDOWS, _GROUPS, _LEAST_GROUP = 512, 16, 1000
+_MOST_WINDOWS, _GROUPS, _LEAST_GROUP = 256, 16, 1000
 #: Shares are looked up in steps of 1 / 8 stop.
 _STEPS = 8
 
