@@ -27,7 +27,7 @@ from camctl.photographs.ratios import (
     MOST_CORRECTED,
     SIGMAS,
     STEADY,
-    Neighbours,
+    RatiosToDarker,
     steady_errors,
 )
 
@@ -135,7 +135,7 @@ def _jumps(stated: FloatArray, found: FloatArray) -> FloatArray:
 
 def wrong_labels(
     photographs: Sequence[Photograph],
-    neighbours: Neighbours,
+    ratios: RatiosToDarker,
     *,
     is_exact: bool,
     is_known: bool,
@@ -145,7 +145,7 @@ def wrong_labels(
 
     Args:
         photographs: with the exposures that are used
-        neighbours: of which brightness they are
+        ratios: of their light
         is_exact: the exposures were not corrected from the pixels
         is_known: the response is, and not estimated from the photographs with their exposures
         is_assumed: nothing says that the response is the right one: no photograph is named
@@ -153,7 +153,7 @@ def wrong_labels(
     limit = math.log(_WRONG_EXACT if is_exact and is_known else MOST_CORRECTED)
     least_agree = _AGREE_WITH if is_known else _AGREE_WITHOUT
     found = LabelErrors()
-    runs = neighbours.runs(photographs)
+    runs = ratios.runs(photographs)
     if alone := tuple(sorted(run.members[0] for run in runs if len(run.members) == 1)):
         found.facts.append(Finding(code="label_unchecked", frames=alone))
     carried = 0.0

@@ -33,7 +33,7 @@ from camctl.photographs.camera import (
 from camctl.photographs.files import PhotographFiles
 from camctl.photographs.labels import check_reversed, doubted_labels, wrong_labels
 from camctl.photographs.moves import aligned_finding, moves_of
-from camctl.photographs.ratios import Neighbours, corrected_exposures
+from camctl.photographs.ratios import RatiosToDarker, corrected_exposures
 from camctl.photographs.response import (
     ASSUMED,
     FROM_PHOTOGRAPHS,
@@ -281,18 +281,18 @@ def _with_exposures(
         corrected, changed = corrected_exposures(photographs, patches, scale, math.inf)
         facts += [at(each, selection.positions) for each in changed]
         return corrected, list(range(len(corrected)))
-    neighbours = Neighbours.of(patches, scale)
+    ratios = RatiosToDarker.of(patches, scale)
     if not is_exact and response != ASSUMED:
         corrected, changed = corrected_exposures(photographs, patches, scale)
         # An estimated response has errors that the estimate of exposures takes for theirs.
-        if neighbours.differ(corrected) < neighbours.differ(photographs):
+        if ratios.differ(corrected) < ratios.differ(photographs):
             photographs = corrected
             facts += [at(each, selection.positions) for each in changed]
     if len(photographs) <= 3 and response in OF_THEIR_EXPOSURES:
         facts.append(Finding(code="label_unchecked", remedies={"curve": None}))
     wrong = wrong_labels(
         photographs,
-        neighbours,
+        ratios,
         is_exact=is_exact,
         is_known=source.curve is not None or response not in FROM_PHOTOGRAPHS,
         is_assumed=response == ASSUMED,

@@ -198,7 +198,7 @@ def _runs(order: Sequence[int], jumps: Iterable[_Jump]) -> list[Run]:
 
 
 @dataclass(frozen=True)
-class Neighbours:
+class RatiosToDarker:
     """The light of photographs compared with that of the next darker one.
 
     Attributes:
@@ -210,7 +210,7 @@ class Neighbours:
     ratios: list[PairRatio | None]
 
     @classmethod
-    def of(cls, patches: Sequence[Patches], scale: SensorModel) -> Neighbours:
+    def of(cls, patches: Sequence[Patches], scale: SensorModel) -> RatiosToDarker:
         """Compare photographs.
 
         Args:

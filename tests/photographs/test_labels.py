@@ -16,7 +16,7 @@ from camctl.model.response.camera import standard_response
 from camctl.model.sensor import SensorModel
 from camctl.photographs.camera import Photograph
 from camctl.photographs.labels import check_reversed, doubted_labels, wrong_labels
-from camctl.photographs.ratios import Neighbours
+from camctl.photographs.ratios import RatiosToDarker
 
 TRUE_S = tuple(2.0**k for k in range(-6, -1))
 SCALE = SensorModel(standard_response("power", 8, phase=0.5), 0)
@@ -42,7 +42,9 @@ def found(labels: tuple[float, ...], iso: tuple[float, ...] = (100.0,) * 5) -> l
         Photograph(f"p{k}", label, each / 100, iso=each)
         for k, (label, each) in enumerate(zip(labels, iso, strict=True))
     ]
-    return wrong_labels(stated, Neighbours.of(PATCHES, SCALE), is_exact=False, is_known=True).notes
+    return wrong_labels(
+        stated, RatiosToDarker.of(PATCHES, SCALE), is_exact=False, is_known=True
+    ).notes
 
 
 def test_right_labels_are_not_accused_whatever_offset_a_dark_photograph_has() -> None:
@@ -63,7 +65,7 @@ def test_where_the_response_is_not_known_no_label_is_checked() -> None:
     levels = standard_response("power", 8, phase=0.5)
     scale = SensorModel(replace(levels, deviation=np.full(levels.M, np.inf)), 0)
     stated = [Photograph(f"p{k}", each, each / 100) for k, each in enumerate(TRUE_S[::-1])]
-    errors = wrong_labels(stated, Neighbours.of(PATCHES, scale), is_exact=False, is_known=False)
+    errors = wrong_labels(stated, RatiosToDarker.of(PATCHES, scale), is_exact=False, is_known=False)
     assert errors.notes == []
     assert [each.frames for each in errors.facts] == [(0, 1, 2, 3, 4)]
 

@@ -44,6 +44,40 @@ _WELL_EXPOSED, _GREY = (0.2, 0.8), 0.08
 
 
 @dataclass(frozen=True, eq=False)
+class _Patches:
+    """Patches of two neighbouring frames in cells of one brightness.
+
+    Attributes:
+        channel: place of theirs
+        short: position of the frame of shorter exposure
+        long: of the other one
+        levels: their samples, (2, patches, samples)
+        middle: the level nearest to the mean of each, (2, patches)
+        cells: places of the patches of each cell that has enough
+    """
+
+    channel: int
+    short: int
+    long: int
+    levels: NDArray[np.intp]
+    middle: NDArray[np.intp]
+    cells: list[NDArray[np.intp]]
+
+    @classmethod
+    def of(cls, channel: int, pair: Neighbours, unit: float) -> _Patches:
+        """Put some patches of a pair into cells by their brightness in the longer frame."""
+        levels = pair.levels[:, :: 1 + pair.levels.shape[1] // _MOST]
+        mean = levels.mean(axis=2)
+        cell = (mean[1] / (unit * _CELL)).astype(np.intp)
+        cells = [
+            np.flatnonzero(cell == each)
+            for each in np.flatnonzero(np.bincount(cell) >= _FEWEST).tolist()
+        ]
+        middle = np.rint(mean).astype(np.intp)
+        return cls(channel, pair.short, pair.long, levels, middle, cells)
+
+
+@dataclass(frozen=True, eq=False)
 class PatchRatios:
     """Patches of neighbouring frames, by which responses are compared.
 
@@ -52,24 +86,25 @@ class PatchRatios:
         unit: levels of 1/255 of full scale
     """
 
-    pairs: tuple[tuple[int, Neighbours], ...]
+    pairs: tuple[_Patches, ...]
     unit: float
 
     @property
     def has_cells(self) -> bool:
         """Whether enough patches are in a cell to compare responses by."""
-        return any(np.bincount(self._cell(pair)).max() >= _FEWEST for _, pair in self.pairs)
+        return any(pair.cells for pair in self.pairs)
 
     @classmethod
     def of(cls, series: Series) -> PatchRatios:
         """Return the patches that two neighbouring frames expose well."""
+        unit = max(1.0, (series.white - series.black) / 255)
         found = [
-            (place, pair._replace(levels=pair.levels[:, :: 1 + pair.levels.shape[1] // _MOST]))
+            _Patches.of(place, pair, unit)
             for place, name in enumerate(series.channels)
             for pair in series.neighbours(name)
             if pair.levels.shape[1] >= _FEWEST
         ]
-        return cls(tuple(found), max(1.0, (series.white - series.black) / 255))
+        return cls(tuple(found), unit)
 
     def misfit(
         self, lights: Sequence[FloatArray], exposures: Sequence[float], exposure_error: float
@@ -82,11 +117,11 @@ class PatchRatios:
             exposure_error: standard deviation of the logarithm of an exposure
         """
         total, cells = 0.0, 0
-        for short, long in sorted({(pair.short, pair.long) for _, pair in self.pairs}):
+        for short, long in sorted({(pair.short, pair.long) for pair in self.pairs}):
             means, errors = [], []
-            for place, pair in self.pairs:
+            for pair in self.pairs:
                 if (pair.short, pair.long) == (short, long):
-                    found = self._cells(pair, lights[place % len(lights)])
+                    found = self._cells(pair, lights[pair.channel % len(lights)])
                     means += found[0]
                     errors += found[1]
             if not means:
@@ -96,18 +131,15 @@ class PatchRatios:
             cells += len(means)
         return total, cells
 
-    def _cells(self, pair: Neighbours, light: FloatArray) -> tuple[list[float], list[float]]:
+    def _cells(self, pair: _Patches, light: FloatArray) -> tuple[list[float], list[float]]:
         """Return the mean logarithm of the ratio of light in each cell, and its error."""
         found = np.maximum(light[pair.levels].mean(axis=2), 1e-12)
         logs = np.log(found[1] / found[0])
-        level = pair.levels.mean(axis=2)
         slope = np.gradient(np.log(np.maximum(light, 1e-12)))
         block = self.unit * SHARED_LEVELS
-        shared = np.hypot(*(block * slope[np.rint(each).astype(np.intp)] for each in level))
-        cell = self._cell(pair)
+        shared = np.hypot(*(block * slope[each] for each in pair.middle))
         means, errors = [], []
-        for place in np.flatnonzero(np.bincount(cell) >= _FEWEST).tolist():
-            use = cell == place
+        for use in pair.cells:
             here = logs[use]
             mean = median(here)
             scatter = median(np.abs(here - mean)) / NORMAL_MAD
@@ -115,10 +147,6 @@ class PatchRatios:
             means.append(mean)
             errors.append(math.hypot(error, SHARED))
         return means, errors
-
-    def _cell(self, pair: Neighbours) -> NDArray[np.intp]:
-        """Return the cell of each patch, by its brightness in the longer frame."""
-        return np.asarray((pair.levels[1].mean(axis=1) / (self.unit * _CELL)).astype(np.intp))
 
 
 def square_of(residuals: FloatArray, errors: FloatArray, exposure_error: float) -> float:
