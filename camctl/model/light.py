@@ -229,16 +229,16 @@ class LightTables:
         self.clipped = found.clipped
         lost = np.where(found.clipped, found.share, 0.0).sum(axis=0) > _NOTABLE
         undithered = (found.share > _DECISIVE) & (found.steps < _DITHERED)
-        self._exact = lost | undithered.any(axis=0)
+        self.is_exact = lost | undithered.any(axis=0)
         sharp = (found.share > _DECISIVE) & (found.steps < _SHARP)
-        self._sharp = sharp.any(axis=0) & self._exact
+        self._sharp = sharp.any(axis=0) & self.is_exact
         self._pattern = found.pattern.astype(np.float32)
         self.first_bins = self.bins(light_of_sums(frames, sensor).astype(np.float32))
 
     @cached_property
     def _scores(self) -> StepScores | None:
         """What finds the light of samples in steps; None: there are too many, or none needs it."""
-        exact = np.flatnonzero(self._exact & ~self._sharp)
+        exact = np.flatnonzero(self.is_exact & ~self._sharp)
         if not exact.size:
             return None
         # An octave more: what begins near the last of them may be brighter.
@@ -309,7 +309,7 @@ class LightTables:
             deviation: of it
         """
         bins = self.bins(E)
-        chosen = np.flatnonzero(self._exact.take(bins))
+        chosen = np.flatnonzero(self.is_exact.take(bins))
         all_count = np.zeros(chosen.size, np.bool_)
         if chosen.size and self._scores is not None:
             first = bins[chosen]

@@ -14,9 +14,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.model.light import Floats32
+from camctl.model.plain_light import Plain
 from camctl.system.picture_operations import interleave
-
-Floats32 = NDArray[np.float32]
 
 Estimate: TypeAlias = Callable[
     [list[NDArray[Any]], NDArray[np.unsignedinteger]], tuple[Floats32, Floats32]
@@ -58,10 +58,14 @@ class LightMemory:
     Args:
         estimate: for combinations that are not known
         keeps: whether any are kept
+
+    Attributes:
+        plain: makes the light of most samples instead; None: nothing does
     """
 
     def __init__(self, estimate: Estimate, *, keeps: bool = True) -> None:
         self._estimate, self._keeps = estimate, keeps
+        self.plain: Plain | None = None
         if not keeps:
             return
         self._known = np.zeros(1 << _PLACES_BITS, _ENTRY)
@@ -73,11 +77,27 @@ class LightMemory:
         self, values: Sequence[NDArray[Any]], total: NDArray[np.unsignedinteger]
     ) -> tuple[Floats32, Floats32]:
         """Return what `estimate` returns; arguments likewise."""
-        light = np.empty(total.size, np.float32)
-        deviation = np.empty_like(light)
+        light, deviation = np.empty((2, total.size), np.float32)
+        if self.plain is None:
+            self._look_up(values, total, light, deviation)
+        else:
+            others = self.plain(values, total, light, deviation)
+            here = np.empty((2, others.size), np.float32)
+            self._look_up([each.take(others) for each in values], total.take(others), *here)
+            light[others], deviation[others] = here
+        return light, deviation
+
+    def _look_up(
+        self,
+        values: Sequence[NDArray[Any]],
+        total: NDArray[np.unsignedinteger],
+        light: Floats32,
+        deviation: Floats32,
+    ) -> None:
+        """Set the light of samples, as it is kept or new."""
         if not self._keeps or (self._asked > self._known.size and self._new > self._asked / 2):
             self._find(values, total, light, deviation)
-            return light, deviation
+            return
         self._asked += total.size
         taken = np.empty(min(_BLOCK, total.size), _ENTRY)
         new: list[NDArray[np.intp]] = []
@@ -99,7 +119,6 @@ class LightMemory:
             if new and (part.stop >= total.size or sum(map(len, new)) >= _AT_ONCE):
                 self._add(np.concatenate(new), values, total, light, deviation)
                 new = []
-        return light, deviation
 
     def _add(
         self,

@@ -35,12 +35,13 @@ from camctl.model.inverse import posterior_of
 from camctl.model.light import Floats32, LightTables, is_certain, light_tables
 from camctl.model.light_memory import Estimate, LightMemory
 from camctl.model.noise import FrameNoise
+from camctl.model.plain_light import SAMPLES_WORTH_LOADING, plain_light
 from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import DesiredResponse, desired_response
 from camctl.model.sensor import CLIPPING_SIGMAS, JPEG_ERROR, SensorModel
 from camctl.model.step_posterior import FrameSet
 from camctl.pictures.chroma_light import NOTABLE, light_of_colours
-from camctl.pictures.mosaic import LETTERS, colour_of
+from camctl.pictures.mosaic import LETTERS, colour_of, new_planes
 from camctl.system.picture_operations import plane_by_plane
 
 #: Standard deviations that are more uncertain than by this share are not stated: their intervals
@@ -206,11 +207,18 @@ class FrameLight:
             found = memory.of(values, sums)
             if len(self.parts) == 1:  # all samples
                 return found[0].reshape(total.shape), found[1].reshape(total.shape)
-            both = both or [_planes(total.shape) for _ in range(2)]
+            both = both or [new_planes(total.shape) for _ in range(2)]
             for whole, each in zip(both, found, strict=True):
                 view = part.view(whole)
                 view[...] = each.reshape(view.shape)
         return both[0], both[1]
+
+    def load(self, samples: int) -> None:
+        """Load compiled code where the light of so many samples takes longer without it."""
+        if samples >= SAMPLES_WORTH_LOADING and not self.chroma:
+            for (_, each), memory in zip(self.parts, self._memories, strict=True):
+                if each.tables is not None:
+                    memory.plain = plain_light(each.tables, each.deviation)
 
     @cached_property
     def _memories(self) -> list[LightMemory]:
@@ -272,13 +280,6 @@ def _beside_saturated(frames: Sequence[NDArray[Any]], white: int) -> NDArray[np.
             inside = blocks.repeat(SIDE, axis=0).repeat(SIDE, axis=1)[: shape[0], : shape[1]]
             found |= inside & ~is_white
     return found
-
-
-def _planes(shape: tuple[int, ...]) -> Floats32:
-    """Return an array for results, of which each channel is contiguous."""
-    if len(shape) == 2:
-        return np.empty(shape, np.float32)
-    return np.moveaxis(np.empty((shape[2], *shape[:2]), np.float32), 0, 2)
 
 
 def frame_light(

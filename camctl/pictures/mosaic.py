@@ -31,6 +31,13 @@ def colour_of(layout: Layout, row: int, column: int) -> int:
     return LETTERS.index(layout.value.upper()[2 * (row % 2) + column % 2])
 
 
+def new_planes(shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Return an array for results, of which each channel is contiguous."""
+    if len(shape) == 2:
+        return np.empty(shape, np.float32)
+    return np.moveaxis(np.empty((shape[2], *shape[:2]), np.float32), 0, 2)
+
+
 def demosaic(
     mosaic: NDArray[np.float32], layout: Layout, first_row: int, bits: int = MOST_BITS
 ) -> Planes:

@@ -234,6 +234,7 @@ class Rendering:
         Several threads may call what is yielded.
         """
         height, rows = total.shape[0], self.strip_rows(total)
+        self.light.load(total.size)
         shown, hot = self._without_hot_pixels(total)
         for start in range(0, height, rows):
             yield partial(self._strip, total, shown, hot, slice(start, min(start + rows, height)))
