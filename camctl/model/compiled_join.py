@@ -8,6 +8,7 @@ module is imported only where it is used.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from camctl.model.compiled_alike import DONE, OTHER, Tables, join_alike
 from camctl.model.joined_frames import Cells, CellsLight
-from camctl.model.light import Floats32, LightTables
+from camctl.model.light import KEPT_TABLES, Floats32, LightTables
 from camctl.model.light_bins import DROPPED
 from camctl.model.sensor import CLIPPING_SIGMAS, FILE_OFFSET
 from camctl.model.step_posterior import REACH
@@ -90,7 +91,8 @@ class _Lanes(NamedTuple):
         )
 
 
-def tables_of(tables: LightTables) -> Tables:
+@lru_cache(maxsize=KEPT_TABLES)
+def _tables_of(tables: LightTables) -> Tables:
     """Return those of a colour."""
     sensor, bins, top = tables.sensor, tables.light_bins, tables.sensor.highest(None)
     squares, noises = tables.of_values
@@ -379,7 +381,7 @@ def join_cells(
     tables: LightTables, cells: Cells, chosen: NDArray[np.bool_], found: CellsLight
 ) -> None:
     """Set the light of cells, that of chosen ones from frames whose errors change weights."""
-    of_colour, count = tables_of(tables), len(cells.values)
+    of_colour, count = _tables_of(tables), len(cells.values)
     state = join_alike(cells, of_colour, chosen, found)
     lanes, dim = _Lanes.new(count), np.empty(count, np.bool_)
     for by_cell in (True, False):

@@ -6,12 +6,13 @@ imported only where it is used.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.model.light import Floats32, LightTables
+from camctl.model.light import KEPT_TABLES, Floats32, LightTables
 from camctl.model.sensor import CLIPPING_SIGMAS
 from camctl.system.compiled_functions import compiler
 
@@ -43,17 +44,18 @@ class _Tables(NamedTuple):
     deviation: Floats32
     is_special: NDArray[np.bool_]
 
-    @classmethod
-    def of(cls, tables: LightTables) -> _Tables:
-        return cls(
-            tables.first_bins.astype(np.uint32),
-            np.full(len(tables.exposures), tables.white, np.uint32),
-            tables.saturating.astype(np.uint32),
-            tables.irradiance,
-            tables.weights,
-            tables.deviation,
-            tables.is_above,
-        )
+
+@lru_cache(maxsize=KEPT_TABLES)
+def _tables_of(tables: LightTables) -> _Tables:
+    return _Tables(
+        tables.first_bins.astype(np.uint32),
+        np.full(len(tables.exposures), tables.white, np.uint32),
+        tables.saturating.astype(np.uint32),
+        tables.irradiance,
+        tables.weights,
+        tables.deviation,
+        tables.is_above,
+    )
 
 
 @_compiled
@@ -110,5 +112,5 @@ def mean(
     light, deviation = np.empty((2, values.shape[1]), np.float32)
     kinds = np.empty(values.shape[1], np.uint8)
     work = np.empty(int(_AT_ONCE), np.uint32)
-    _mean(values, _Tables.of(tables), work, light, deviation, kinds)
+    _mean(values, _tables_of(tables), work, light, deviation, kinds)
     return light, deviation, np.flatnonzero(kinds == _SPECIAL), np.flatnonzero(kinds == _WHITE)

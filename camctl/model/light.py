@@ -49,6 +49,9 @@ _MOST_MOVED = 0.1
 #: Variance of a sample that is not less, of full scale squared.
 _LEAST_VARIANCE = 1e-16
 
+KEPT_TABLES = 16
+"""Sets of frames whose tables are kept: a few captures of three colours each."""
+
 #: A light of fewer standard deviations is truncated at 0: beyond it, 0.1 % of the probability is.
 _NEAR_ZERO = CLIPPING_SIGMAS
 
@@ -403,7 +406,7 @@ def cut_at_zero(light: Floats32, spread: FloatArray, near: Any) -> FloatArray:
     return np.sqrt(np.maximum(1 - narrower, 1e-6))
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=KEPT_TABLES)
 def light_tables(frames: FrameSet) -> LightTables:
     """Return the tables of a set of frames; those of the last sets are kept."""
     return LightTables(frames)

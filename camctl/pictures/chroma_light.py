@@ -71,14 +71,15 @@ def light_of_colours(
         whole = light_of_colours(padded, estimates, tables, details, noises)
         return whole[0][:rows, :columns], whole[1][:rows, :columns]
     shape, count = (rows // 2, columns // 2), len(frames)
-    seen = np.empty((len(tables), count, 4, math.prod(shape)), frames[0].dtype)
-    for place, frame in enumerate(frames):
-        for channel, planes in enumerate(seen):
-            planes[place] = _by_cells(frame[..., channel])
-    compiled = _compiled(seen[0])
+    compiled = _compiled(rows * columns * count)
     if compiled is not None:
+        seen = compiled.in_cells(frames)
         of_chroma = compiled.chroma_variance(seen.reshape(*seen.shape[:3], *shape), noises)
     else:
+        seen = np.empty((len(tables), count, 4, math.prod(shape)), frames[0].dtype)
+        for place, frame in enumerate(frames):
+            for channel, planes in enumerate(seen):
+                planes[place] = _by_cells(frame[..., channel])
         of_chroma = np.stack(
             [
                 chroma_variance(cells.reshape(-1, 4, *shape), noise)
@@ -95,7 +96,10 @@ def light_of_colours(
             error += _by_block(detail, frame)
         np.sqrt(spreads, out=spreads)
     of_chroma, spreads = (each.reshape(len(tables), count, -1) for each in (of_chroma, spreads))
-    beside, hidden = _beside_saturated(seen, spreads, tables[0].sensor.highest(None))
+    limits = tables[0].sensor.highest(None), _VISIBLE, REACH
+    beside, hidden = (compiled.beside_saturated if compiled else _beside_saturated)(
+        seen, spreads, *limits
+    )
     found = np.empty((2, len(tables), rows, columns), np.float32)
     for k, table in enumerate(tables):
         light, deviation = _first_light(compiled, table, estimates[k], seen[k])
@@ -170,9 +174,9 @@ def _replace(
         _cells_of(whole)[...] = each.reshape(2, 2, *_cells_of(whole).shape[2:])
 
 
-def _compiled(values: NDArray[Any]) -> ModuleType | None:
+def _compiled(size: int) -> ModuleType | None:
     """Return what does it in compiled code; None where there is none, or that takes longer."""
-    if values.size < _WORTH_LOADING or not has_compiler():
+    if size < _WORTH_LOADING or not has_compiler():
         return None
     from camctl.pictures import compiled_chroma
 
@@ -239,7 +243,7 @@ def _alike(places: NDArray[np.intp], light: Floats32, count: int) -> Iterator[ND
 
 
 def _beside_saturated(
-    seen: NDArray[Any], spreads: Floats32, top: int
+    seen: NDArray[Any], spreads: Floats32, top: int, visible: float, reach: np.float32
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return where frames are saturated and have errors of colours.
 
@@ -251,9 +255,9 @@ def _beside_saturated(
     for place in range(len(hidden)):
         largest = spreads[:, place].max(axis=0)
         brightest = seen[:, place].max(axis=0)
-        visible = largest > _VISIBLE
-        np.logical_and(brightest > top, visible, out=hidden[place])
-        found |= visible & (brightest.max(axis=0) + REACH * largest > top)
+        is_visible = largest > visible
+        np.logical_and(brightest > top, is_visible, out=hidden[place])
+        found |= is_visible & (brightest.max(axis=0) + reach * largest > top)
     return found, hidden
 
 
@@ -277,8 +281,9 @@ def _small_errors(
         standard deviation of their light by these errors, and the other cells, (cells,) each
     """
     if compiled is not None:
-        common, deviation = compiled.small_errors(tables, errors, light, NOTABLE)
-        return common, np.square(common) > _SMALL * np.square(deviation)
+        small: tuple[Floats32, NDArray[np.bool_]]
+        small = compiled.small_errors(tables, errors, light, NOTABLE, _SMALL)
+        return small
     bins = tables.bins(light.mean(axis=0))
     common = np.zeros(bins.shape, np.float32)
     for weight, steps, error in zip(tables.weights, tables.steps, errors, strict=True):
