@@ -71,6 +71,10 @@ class WrongFormatError(CameraError):
     """The camera saves files in another format than the frames."""
 
 
+class OtherExposureError(CameraProtocolError):
+    """A file states another exposure than the one that was set."""
+
+
 class FormatChangedError(CameraProtocolError):
     """A file differs from the format that the camera's frames have; `record` describes the file."""
 
@@ -130,7 +134,7 @@ def checked_exposure(
     The speed is the file's, or as it was set; neither is there where it is unknown.
 
     Raises:
-        CameraProtocolError: the file states another exposure than the one that was set; a stop of
+        OtherExposureError: the file states another exposure than the one that was set; a stop of
             the lens is compared as light, and so are the others: by their ratio
 
     Args:
@@ -150,7 +154,7 @@ def checked_exposure(
         if found is None or was_set is None:
             continue
         if not 1 / _MAX_RATIO < (found / was_set) ** power < _MAX_RATIO:
-            raise CameraProtocolError(
+            raise OtherExposureError(
                 f"{name} states {what} of {unit.format(found)}, but {unit.format(was_set)} was set",
                 hint="shoot it again, and do not use the camera's own buttons during the capture",
             )

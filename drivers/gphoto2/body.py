@@ -30,6 +30,9 @@ _MANUAL: Mapping[str, tuple[str, ...]] = {
     "exposuremode": ("m", "manual"),
     "isoauto": ("off",),
 }
+_TO_MANUAL = "turn the mode dial to M, or switch that off on the camera"
+#: Below this charge a camera that takes no picture probably lacks power, per cent.
+_LOW_BATTERY_PERCENT = 5
 _TARGETS: Mapping[str, tuple[str, ...]] = {
     "ram": ("internal ram", "sdram"),
     "card": ("memory card", "card"),
@@ -111,12 +114,33 @@ class Body:
         words = " ".join(self._text(name).lower() for name in _QUALITIES)
         return any(word in words for word in _RAW_WORDS)
 
-    def battery_percent(self) -> int | None:
-        """Return the charge of the battery; of a silent camera the last one known; None: none."""
+    def why_no_picture(self, *, is_silent: bool) -> tuple[str, str] | None:
+        """Return what its settings show of why it takes no picture, and what to do; None: nothing.
+
+        Of a silent camera the last settings count that are known, and only its battery.  libgphoto2
+        gives no reason where a Sony or a Nikon does not focus, or its mode dial was turned.
+        """
         with suppress(CameraError):
             self._widgets = self._read()
-        found = re.fullmatch(r"(\d+)\s*%", self._text("batterylevel"))
-        return int(found[1]) if found else None
+        charge = re.fullmatch(r"(\d+)\s*%", self._text("batterylevel"))
+        if charge and int(charge[1]) <= _LOW_BATTERY_PERCENT:
+            return (
+                f"its battery has {charge[1]} % of its charge",
+                "charge it or use a mains adapter",
+            )
+        if is_silent:
+            return None
+        for name, wanted in _MANUAL.items():
+            widget = self._widgets.get(name)
+            if widget is not None and self._is_automatic(widget, wanted):
+                return f"it is in mode {widget.value} ({widget.label.lower()})", _TO_MANUAL
+        focus = self._text("focusmode")
+        if re.search(r"auto|AF|servo|shot", focus, re.IGNORECASE) and "MF" not in focus:
+            return (
+                f"its autofocus is on ({focus}), and without focus it takes no picture",
+                "set the lens or the camera to manual focus (MF), and take the lens cap off",
+            )
+        return None
 
     def apply(self, setting: ExposureSetting) -> ExposureSetting:
         """Set the dials; return the setting as the camera has it then.
@@ -172,20 +196,24 @@ class Body:
 
     def _set_manual(self, name: str, wanted: tuple[str, ...]) -> None:
         widget = self._widgets.get(name)
-        if widget is None or widget.value.strip().lower() in wanted:
+        if widget is None or not self._is_automatic(widget, wanted):
             return
-        manual = next((each for each in widget.choices if each.strip().lower() in wanted), None)
-        if manual is None and not widget.is_read_only:
-            return  # another setting of that name
         if not widget.is_read_only:
-            assert manual is not None
+            manual = next(each for each in widget.choices if each.strip().lower() in wanted)
             applied = self._process.ask("apply", values={name: manual}, busy_s=_BUSY_S)
             if applied[name] == manual:
                 return
         raise CameraError(
             f"{self._process.name} is in mode {widget.value} ({widget.label.lower()})",
-            hint="turn the mode dial to M, or switch that off on the camera",
+            hint=_TO_MANUAL,
         )
+
+    @staticmethod
+    def _is_automatic(widget: Widget, wanted: tuple[str, ...]) -> bool:
+        """Whether a setting is not manual; one without a manual choice is another of that name."""
+        choices = [each.strip().lower() for each in widget.choices]
+        can_be = widget.is_read_only or any(each in wanted for each in choices)
+        return can_be and widget.value.strip().lower() not in wanted
 
     def _set_target(self, target: str) -> str:
         """Let the camera store its pictures in a place; return "ram", "card", or "" if unknown."""

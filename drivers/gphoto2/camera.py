@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import PurePath
@@ -36,8 +36,6 @@ DRIVER = "gphoto2"
 #: How long a picture may take beyond twice its exposure time, s, since noise reduction takes the
 #: exposure time again; and likewise one of a capture that was cancelled.
 _CAPTURE_S, _CANCELLED_S = 100.0, 5.0
-#: Below this charge a camera that takes no picture probably lacks power, per cent.
-_LOW_BATTERY_PERCENT = 5
 #: How long a busy camera is asked again to take or to send a picture, s.
 _BUSY_S = 30.0
 #: Quiet time after which a camera has reported all files of an exposure, ms.
@@ -57,11 +55,11 @@ class Gphoto2Options(StillOptions):
 
 @dataclass(frozen=True)
 class _Picture:
-    """A picture that was taken: its file, others of the same exposure, and when."""
+    """A picture that was taken: its file, folder and name of others of its exposure, and when."""
 
     folder: str
     name: str
-    others: tuple[str, ...]
+    others: tuple[tuple[str, ...], ...]
     released_s: float
     ended_s: float
 
@@ -91,12 +89,15 @@ class Gphoto2Camera(StillCamera):
 
     def _open(self) -> None:
         self._forget()
-        self._fetched: list[_Picture] = []  # and not deleted
+        # Files that are not deleted: of raw and JPEG one is fetched.
+        self._fetched: list[tuple[str, ...]] = []
+        self._unfetched: list[tuple[str, ...]] = []
         with ExitStack() as undo:
             self._process = undo.enter_context(CameraProcess(self._name, self._clock))
             self._process.ask("open", port=self._port, busy_s=_BUSY_S)
             undo.callback(self._disconnect)
             self._body = body = Body(self._process, self._options.target)
+            undo.callback(self._empty_memory)
             self._notes += [
                 *body.notes,
                 "shutter times are the true values of the labels on the camera's dial: exact "
@@ -110,8 +111,11 @@ class Gphoto2Camera(StillCamera):
 
     def _disconnect(self) -> None:
         with suppress(CameraError):
-            self._delete_fetched()
             self._process.ask("close")
+
+    def _empty_memory(self) -> None:
+        with suppress(CameraError):
+            self._delete_fetched()
 
     def _close(self) -> None:
         self._closing.close()
@@ -137,7 +141,7 @@ class Gphoto2Camera(StillCamera):
 
     def _take(self, setting: ExposureSetting, format_name: str | None) -> _Picture:
         """Take a picture; return its file of that format."""
-        self._process.ask("added", timeout_ms=0)  # files of an exposure that was cancelled
+        self._note_unfetched()
         released_s = self._clock.now()
         first = self._capture(2 * setting.time_s)
         ended_s = self._clock.now()
@@ -156,7 +160,7 @@ class Gphoto2Camera(StillCamera):
                 hint="set its image quality to that format, or name the format that it saves",
                 remedies={"option:format": None},
             )
-        others = tuple(name for name in names if name != chosen[1])
+        others = tuple(each for each in files if each != chosen)
         return _Picture(chosen[0], chosen[1], others, released_s, ended_s)
 
     def _capture(self, longest_s: float) -> list[str]:
@@ -168,13 +172,10 @@ class Gphoto2Camera(StillCamera):
                 raise
             return self._release(longest_s)
         except (UnexplainedError, CameraTimeoutError, CameraDisconnectedError) as error:
-            charge = self._body.battery_percent()
-            if charge is None or charge > _LOW_BATTERY_PERCENT:
+            reason = self._body.why_no_picture(is_silent=not isinstance(error, UnexplainedError))
+            if reason is None:
                 raise
-            raise type(error)(
-                f"{error.what}: its battery has {charge} % of its charge",
-                hint="charge it or use a mains adapter",
-            ) from error
+            raise type(error)(f"{error.what}: {reason[0]}", hint=reason[1]) from error
 
     def _release(self, longest_s: float) -> list[str]:
         """Take a picture, which lasts so long at most if all is well; return its first file."""
@@ -213,7 +214,7 @@ class Gphoto2Camera(StillCamera):
             "object": f"{picture.folder}/{picture.name}",
             "bytes": len(data),
             "released_s": picture.released_s,
-            **({"other_files": list(picture.others)} if picture.others else {}),
+            **({"other_files": [name for _, name in picture.others]} if picture.others else {}),
             **speed,
             **changes,
         }
@@ -231,7 +232,8 @@ class Gphoto2Camera(StillCamera):
 
     def _file(self, picture: _Picture) -> bytes:
         data = self._process.ask("file", folder=picture.folder, name=picture.name, busy_s=_BUSY_S)
-        self._fetched.append(picture)
+        self._fetched.append((picture.folder, picture.name))
+        self._keep_unfetched(picture.others)
         if not isinstance(data, bytes):
             raise CameraProtocolError(
                 f"{self._name} sent an empty file {picture.name}", hint="shoot again"
@@ -241,15 +243,28 @@ class Gphoto2Camera(StillCamera):
     def _delete_fetched(self) -> bool:
         """Delete the fetched files: from its memory always, from its card if requested.
 
-        It takes libgphoto2 0.3 s a file, so it is done when the memory is full, and at the end.
+        From its memory go the other files of the same exposures, too, which would fill it.  It
+        takes libgphoto2 0.3 s a file, so it is done when the memory is full, and at the end.
         """
-        fetched, self._fetched = self._fetched, []
-        if not fetched or not (self._options.delete or self._body.target == "ram"):
+        files, self._fetched = self._fetched, []
+        if self._body.target == "ram":
+            self._note_unfetched()
+            files += self._unfetched
+            self._unfetched = []
+        elif not self._options.delete:
             return False
-        for picture in fetched:
+        for folder, name in files:
             with suppress(CameraProtocolError):  # many cameras delete what is fetched themselves
-                self._process.ask("delete", folder=picture.folder, name=picture.name)
-        return True
+                self._process.ask("delete", folder=folder, name=name)
+        return bool(files)
+
+    def _note_unfetched(self) -> None:
+        """Keep which files came late: beside those that were fetched, or of what was cancelled."""
+        self._keep_unfetched(map(tuple, self._process.ask("added", timeout_ms=0)))
+
+    def _keep_unfetched(self, files: Iterable[tuple[str, ...]]) -> None:
+        if self._body.target == "ram":  # on a card they may stay
+            self._unfetched += files
 
     # ---- controls
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import re
 import select
@@ -31,6 +32,7 @@ SILENCE_S = 60.0
 #: A busy camera is asked again after the first pause, then after twice that, and so on, s.
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.05, 2.0
 _END_S = 5.0
+_log = logging.getLogger(__name__)
 _TO_SHOOTING = "turn the mode dial to M, and leave playback, menus and movie mode on the camera"
 _AGAIN = "switch the camera off and on again, then resume"
 _LIST_CAMERAS = "list the cameras that are connected"
@@ -227,8 +229,14 @@ class CameraProcess:
         self, do: str, arguments: dict[str, Any], silence_s: float, cancelled_s: float
     ) -> Any:
         if self._owed_until_s is not None:
+            left_s = max(0.0, self._owed_until_s - self._clock.now())
+            _log.info(
+                "waiting for the end of what %s does, for up to %.0f s: libgphoto2 cannot end it",
+                self.name,
+                left_s,
+            )
             with cancelled_by(None):
-                self._answer(max(0.0, self._owed_until_s - self._clock.now()))
+                self._answer(left_s)
         line = json.dumps({"do": do, **arguments}).encode() + b"\n"
         try:
             assert self._process.stdin is not None

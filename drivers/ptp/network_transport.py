@@ -6,6 +6,7 @@ cancellations.  Either side may ask with a ping whether the other is there.
 
 from __future__ import annotations
 
+import logging
 import struct
 import uuid
 from collections import deque
@@ -45,6 +46,8 @@ _RECOVERY_S = 5.0
 _POLL_S = 1e-3
 # Reasons of a refused connection.
 _REJECTED, _BUSY = 1, 2
+
+_log = logging.getLogger(__name__)
 
 
 def guid_of_this_computer() -> bytes:
@@ -129,7 +132,13 @@ class NetworkTransport:
         """Return the body of the answer to the first packet on a connection."""
         where = f"{self._address.host}:{self._address.port}"
         try:
-            kind, body = link.receive(self.silence_s)
+            try:
+                kind, body = link.receive(min(_PING_S, self.silence_s))
+            except CameraTimeoutError:
+                if self.silence_s <= _PING_S:
+                    raise
+                self._say_silent(_PING_S)
+                kind, body = link.receive(self.silence_s - _PING_S)
         except CameraTimeoutError:
             raise CameraTimeoutError(
                 f"{where} accepts the connection and sends no PTP/IP answer",
@@ -228,19 +237,31 @@ class NetworkTransport:
 
     def _packet(self, data_bytes: int = 0) -> tuple[int, memoryview]:
         """Return the next packet of commands; meanwhile ask whether the camera is still there."""
-        began_s = self._clock.now()
+        began_s, is_said = self._clock.now(), False
         while True:
             silent_s = self._clock.now() - max(began_s, self._commands.heard_s)
             try:
                 wait_s = max(min(_PING_S, self.silence_s - silent_s), _POLL_S)
                 return self._commands.receive(wait_s, data_bytes=data_bytes)
             except CameraTimeoutError:
-                if self._clock.now() >= max(began_s, self._commands.heard_s) + self.silence_s:
+                silent_s = self._clock.now() - max(began_s, self._commands.heard_s)
+                if silent_s >= self.silence_s:
                     raise
+                if not is_said:
+                    self._say_silent(silent_s)
+                    is_said = True
                 self._check_presence()
             except CameraProtocolError:
                 self._is_valid = False
                 raise
+
+    def _say_silent(self, silent_s: float) -> None:
+        _log.info(
+            "%s has sent nothing for %.0f s: waiting for its answer for up to %.0f s more",
+            self.name,
+            silent_s,
+            self.silence_s - silent_s,
+        )
 
     def _check_presence(self) -> None:
         """Send a ping.

@@ -8,11 +8,17 @@ release from then on.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 
-from camctl.drivers.common.known_format import KnownFormat, checked_exposure, matched_pixels
+from camctl.drivers.common.known_format import (
+    KnownFormat,
+    OtherExposureError,
+    checked_exposure,
+    matched_pixels,
+)
 from camctl.drivers.common.still_camera import StillTimes
 from camctl.drivers.ptp.body import Body
 from camctl.drivers.ptp.dials import Dial
@@ -32,6 +38,14 @@ from camctl.system.interrupts import uninterrupted
 
 # Largest error of a bulb exposure, s; the load of the computer decides how precisely it is held.
 _MAX_BULB_ERROR_S = 0.25
+# After so long without an answer, beyond its exposure, a cancelled camera is not waited for, s: as
+# after which a camera in the network is asked whether it is still there.
+_HANGING_S = 5.0
+# How often a sequence begins anew because the camera sent a picture of an exposure before: one that
+# another session has left running, and the two of its own that it takes for later ones then.
+_MOST_STALE = 3
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -65,6 +79,7 @@ class ExposureSequence:
         self._waiting: Shot | None = None  # its file is in the camera, its frame not yet yielded
         self._fetched: list[Shot] = []
         self._overlaps = True
+        self._stale = _MOST_STALE
 
     @property
     def overlaps(self) -> bool:
@@ -76,19 +91,39 @@ class ExposureSequence:
     ) -> Generator[Frame, None, None]:
         """Yield a frame for each setting; `known` is the format of all frames.
 
-        What the exposures and the files took is added to `times`.
+        What the exposures and the files took is added to `times`.  Until the first frame, pictures
+        of an exposure that an earlier session has left running are set aside.
 
         Raises:
             CameraError: as `camctl.Camera.shoot`; lists what was taken and not fetched
         """
+        while True:
+            try:
+                return (yield from self._run(settings, known, times))
+            except OtherExposureError as error:
+                if not self._stale:
+                    raise
+                self._stale -= 1
+                _log.warning(
+                    "%s: it is of an exposure before, and left on the card; shooting again",
+                    error.what.partition(";")[0],
+                )
+                if self._pending is None and self._waiting is not None:
+                    self._pending = self._waiting.exposure  # its own picture is still to come
+
+    def _run(
+        self, settings: Sequence[ExposureSetting], known: KnownFormat, times: StillTimes
+    ) -> Generator[Frame, None, None]:
         self._waiting, self._fetched = None, []
         if settings:
             self.finish_pending()
             self._shooter.ignore_existing()
         try:
             for index, setting in enumerate(settings):
-                # While the computer holds the shutter of a bulb exposure it can fetch nothing.
-                if not self._overlaps or self._is_bulb(setting):
+                # While the computer holds the shutter of a bulb exposure it can fetch nothing;
+                # beside a picture of an exposure before, none may be under way.
+                is_stale = 0 < self._stale < _MOST_STALE
+                if not self._overlaps or is_stale or self._is_bulb(setting):
                     yield from self._fetch_waiting(known, times)
                 began_s = self._clock.now()
                 request = ExposureRequest(setting, self._apply(setting), index)
@@ -125,15 +160,32 @@ class ExposureSequence:
 
     def finish_pending(self, limit_s: float = NORMAL_S) -> None:
         """Wait for the end of a cancelled exposure, at most `limit_s` beyond its exposure time."""
-        pending, self._pending = self._pending, None
-        if pending is not None:
+        pending, is_hanging = self._pending, self._is_hanging
+        self._pending = None
+        if pending is not None and not is_hanging:
+            rest_s = max(0.0, pending.ends_s - self._clock.now())
+            _log.info(
+                "waiting until %s has ended its exposure of %.6g s, for up to %.0f s",
+                self._name,
+                pending.request.setting.time_s,
+                rest_s + limit_s,
+            )
             self._shooter.wait_for_end(pending, limit_s)
+
+    @property
+    def _is_hanging(self) -> bool:
+        """Whether the camera has left a transaction without an answer, longer than it exposes."""
+        asked_s, pending = self._body.session.asked_s, self._pending
+        if asked_s is None:
+            return False
+        exposure_s = 0.0 if pending is None else pending.request.setting.time_s
+        return self._clock.now() > asked_s + exposure_s + _HANGING_S
 
     @uninterrupted
     def _abort(self) -> None:
         """End the exposure that runs, where the camera can; it stays pending until its end."""
         pending = self._pending
-        if pending is None:
+        if pending is None or self._is_hanging:
             return
         with cancelled_by(None):
             is_over = self._is_bulb(pending.request.setting)  # `_hold` has closed the shutter
@@ -215,6 +267,7 @@ class ExposureSequence:
             times.add_download(self._clock.now() - began_s)
             self._fetched.append(self._waiting)
             self._waiting = None
+            self._stale = 0
             yield frame
 
     def _delete_fetched(self) -> None:

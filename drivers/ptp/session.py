@@ -75,6 +75,7 @@ class Session:
         times_recovered: how often the pipes had to be recovered
         times_busy: how often the camera answered that it was busy
         last_transaction: number of the latest transaction
+        asked_s: when the transaction was sent that has no answer yet; None: all are answered
         after_reopening: called after the session had to be opened again
     """
 
@@ -92,6 +93,7 @@ class Session:
         self._transaction = self.last_transaction = 0
         self._is_open = self._is_reopening = False
         self.after_reopening: Callable[[], None] | None = None
+        self.asked_s: float | None = None
         self.times_recovered = 0
         self.maker = ""
         self.times_busy = 0
@@ -232,7 +234,7 @@ class Session:
         number = self._transaction
         if self._is_open:
             self._transaction = number + 1 if number < 0xFFFFFFFE else 1  # FFFFFFFF is none
-        self.last_transaction = number
+        self.last_transaction, self.asked_s = number, self.clock.now()
         self._transport.send(operation, number, parameters, data)
         received = b""
         container = self._transport.receive(number, limit=limit)
@@ -243,6 +245,7 @@ class Session:
             raise CameraProtocolError(
                 f"{self._name} sent data twice in one transaction", hint="try again"
             )
+        self.asked_s = None
         return Answer(container.code, container.parameters, received)
 
     def _recover(self, error: CameraError) -> None:

@@ -7,6 +7,7 @@ object handles are read, and each new object is asked for its description.
 
 from __future__ import annotations
 
+import logging
 import math
 from contextlib import suppress
 from dataclasses import dataclass
@@ -33,6 +34,8 @@ _EVENT_S, _LONGEST_EVENT_S, _EVENT_SHARE, _WAITING_EVENT_S = 0.05, 0.25, 0.05, 0
 _EVENT_MARGIN_S = 0.005
 # How long after the end of an exposure its files may still appear.
 _LATE_FILES_S = 3.0
+# How long after the end of an exposure it is said that its picture is waited for: after late files.
+_SILENT_S = 5.0
 # A camera that answers "busy" is asked again this long: until it is clear that it needs its last
 # picture to be fetched first.  Pauses are doubled from the first to the longest.
 _SHORT_BUSY_S = 0.3
@@ -44,6 +47,8 @@ _BUSY_AFTER_EXPOSURE_S = 1000.0
 _BUSY_PAUSE_S = 3 * _LONGEST_LIST_S
 # More pictures than a camera can have in its memory.
 _MAX_IN_MEMORY = 32
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -199,8 +204,18 @@ class Shooter:
         busy_s = -math.inf  # when the camera last answered that it is busy
         list_pause_s = _FIRST_LIST_S
         next_list_s = exposure.ends_s + list_pause_s
+        is_said = False
         while True:
             check_cancelled()
+            if not is_said and self._clock.now() > exposure.ends_s + _SILENT_S:
+                is_said = True
+                _log.info(
+                    "%s has not saved its picture of %.6g s yet: waiting for it for up to %.0f s "
+                    "more, and longer while the camera answers that it is busy",
+                    self._name,
+                    exposure.request.setting.time_s,
+                    max(0.0, exposure.deadline_s - self._clock.now()),
+                )
             events = self._body.poll_events(self._event_wait_s(exposure))
             if events.is_full:
                 raise CameraError(

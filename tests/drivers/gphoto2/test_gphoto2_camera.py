@@ -149,6 +149,28 @@ class TestVirtualCamera:
             list(camera.shoot(settings(0.01, 0.1, 1.0)))
         assert asked.count("delete") == deleted
 
+    @pytest.mark.parametrize("target", ["ram", "card"])
+    def test_the_file_that_is_not_fetched_is_deleted_from_the_memory_and_left_on_a_card(
+        self, monkeypatch: pytest.MonkeyPatch, target: str
+    ) -> None:
+        """Of raw and JPEG one is fetched; the other one may come late."""
+        twins, deleted = iter([[["/", "late.nef"]], [["/", "later.nef"]]]), []
+        ask = CameraProcess.ask
+
+        def with_twins(self: CameraProcess, do: str, **arguments: Any) -> Any:
+            if do == "delete":
+                deleted.append(arguments["name"])
+            found = ask(self, do, **arguments)
+            return [*found, *next(twins, [])] if do == "added" else found
+
+        options = {"response": "linear", "format": "jpeg", "target": target}
+        with Gphoto2Camera(PORT, Gphoto2Options.parse(options)) as camera:
+            assert camera.controls.shape == (48, 64)
+            monkeypatch.setattr(CameraProcess, "ask", with_twins)
+            list(camera.shoot(settings(0.01, 0.1)))
+        late = {"late.nef", "later.nef"}
+        assert late & set(deleted) == (late if target == "ram" else set())
+
     def test_a_full_memory_is_emptied_once(
         self, camera: Gphoto2Camera, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -203,8 +225,9 @@ class TestVirtualCamera:
             camera._process.ask("widgets", silence_s=1.0)
 
     def test_a_cancelled_picture_that_never_comes_does_not_keep_the_camera_open(
-        self, monkeypatch: pytest.MonkeyPatch
+        self, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
     ) -> None:
+        """It is said that the exposure is waited for, which libgphoto2 cannot end."""
         monkeypatch.setattr(camera_module, "_CANCELLED_S", 0.5)
         camera = Gphoto2Camera(PORT).open()
         (setting,) = settings(0.01)
@@ -212,8 +235,10 @@ class TestVirtualCamera:
         with pytest.raises(InterruptedCaptureError), cancelled_by(lambda: True):
             camera._release(setting.time_s)
         began_s = time.monotonic()
-        camera.close()
+        with caplog.at_level("INFO"):
+            camera.close()
         assert time.monotonic() - began_s < 2
+        assert "waiting for the end of what gphoto2:usb:001,001 does, for up to" in caplog.text
 
     def test_a_closed_camera_leaves_no_process(self, camera: Gphoto2Camera) -> None:
         number = camera._process.process_id
@@ -355,6 +380,34 @@ class TestBody:
         bench.widgets["expprogram"]["is_read_only"] = True
         with pytest.raises(CameraError, match=r"is in mode Auto .*; turn the mode dial to M"):
             body_of(bench)
+
+    @pytest.mark.parametrize(
+        ("changed", "what", "hint"),
+        [
+            ({"batterylevel": "3%"}, "its battery has 3 % of its charge", "charge it"),
+            ({"expprogram": "Movie (P)"}, "it is in mode Movie (P) (expprogram)", "turn the mode"),
+            ({"focusmode": "AF-S"}, "its autofocus is on (AF-S)", "manual focus"),
+            ({"focusmode": "Automatic"}, "its autofocus is on (Automatic)", "manual focus"),
+            ({"focusmode": "Manual"}, None, ""),
+            ({"focusmode": "Preset MF"}, None, ""),
+        ],
+    )
+    def test_what_a_sony_that_gives_no_reason_shows_of_it(
+        self, changed: dict[str, str], what: str | None, hint: str
+    ) -> None:
+        bench = Bench("Sony Corporation", shutterspeed=["1/60"], expprogram="M", focusmode="Manual")
+        bench.widgets["expprogram"]["is_read_only"] = True
+        body = body_of(bench)
+        bench.add(**changed)
+        bench.widgets["expprogram"]["is_read_only"] = True
+        found = body.why_no_picture(is_silent=False)
+        if what is None:
+            assert found is None
+        else:
+            assert found is not None
+            assert found[0].startswith(what)
+            assert hint in found[1]
+            assert (body.why_no_picture(is_silent=True) is None) == ("batterylevel" not in changed)
 
     def test_a_body_without_shutter_time(self) -> None:
         bench = Bench("Canon", shutterspeed=["auto"])

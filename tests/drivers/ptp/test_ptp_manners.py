@@ -179,15 +179,16 @@ class TestLongExposures:
             assert np.array_equal(frame.pixels, reference.pixels)
 
     def test_a_camera_that_answers_and_has_no_picture_is_reported_after_the_noise_reduction(
-        self, monkeypatch: pytest.MonkeyPatch
+        self, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
     ) -> None:
-        with camera_on() as (camera, device):
+        with camera_on() as (camera, device), caplog.at_level("INFO"):
             (setting,) = settings_at(camera, 30)
             monkeypatch.setattr(device.body, "release", lambda *_: None)
             began_s = camera.clock.now()
             with pytest.raises(CameraTimeoutError, match="has saved no picture in the 16"):
                 shoot(camera, [setting])
             assert 160 <= camera.clock.now() - began_s < 165
+        assert "picture of 30 s yet: waiting for it for up to 125 s more" in caplog.text
 
     @pytest.mark.slow
     def test_a_camera_that_stays_busy_is_given_1000_seconds_more(

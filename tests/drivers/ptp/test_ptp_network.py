@@ -222,6 +222,53 @@ def test_a_silent_connection_is_noticed_by_pings_before_the_time_out() -> None:
         assert device.clock.now() - began_s < 20.0
 
 
+@pytest.mark.parametrize("pause_s", [0.0, 0.4])
+@pytest.mark.parametrize("vendor", ["none", "canon", "nikon", "sony"])
+def test_a_picture_of_an_exposure_before_the_link_broke_is_set_aside(
+    vendor: str, pause_s: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    with camera_on_network(vendor=vendor) as (camera, device):
+        frames = camera.shoot(settings_at(camera, 1 / 100, 2.0))
+        next(frames)
+        device.do("reset")
+        with pytest.raises(CameraDisconnectedError):
+            next(frames)
+    device.clock.sleep_until(device.clock.now() + pause_s)
+    with our_camera(device).open() as again:
+        settings = settings_at(again, 1 / 50, 1 / 10)
+        assert [frame.applied for frame in shoot(again, settings)] == settings
+    assert "it is of an exposure before, and left on the card; shooting again" in caplog.text
+
+
+def test_it_is_said_what_is_waited_for_and_until_when(caplog: pytest.LogCaptureFixture) -> None:
+    with camera_on_network() as (camera, device), caplog.at_level("INFO"):
+        shoot(camera, settings_at(camera, 1 / 100))
+        device.do("hang")
+        began_s = device.clock.now()
+        frames = camera.shoot(settings_at(camera, 1 / 50))
+        with pytest.raises(KeyboardInterrupt), interrupted_at(device, began_s + 8):
+            next(frames)
+        assert "has sent nothing for 5 s: waiting for its answer for up to 15 s more" in caplog.text
+        camera.close()
+        assert device.clock.now() < began_s + 8 + 3
+
+
+@contextmanager
+def interrupted_at(device: VirtualCamera, time_s: float) -> Iterator[None]:
+    """Press Control-C when a wait reaches that time."""
+    wait_for = device.clock.wait_for
+
+    def waited(event: threading.Event, deadline_s: float) -> bool:
+        if deadline_s < time_s:
+            return wait_for(event, deadline_s)
+        wait_for(event, time_s)
+        raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(device.clock, "wait_for", waited)
+        yield
+
+
 def test_a_transfer_that_breaks_off_is_a_disconnected_camera() -> None:
     with camera_on_network() as (camera, device):
         shoot(camera, settings_at(camera, 1 / 100))
@@ -332,11 +379,16 @@ def test_a_server_that_is_no_camera_is_named(answer: bytes) -> None:
         camctl.open_camera(f"ptpip:127.0.0.1:{port}")
 
 
-def test_a_server_that_says_nothing_times_out() -> None:
+def test_a_server_that_says_nothing_times_out(caplog: pytest.LogCaptureFixture) -> None:
     device = virtual_camera()
     device.is_silent = True
-    with pytest.raises(CameraTimeoutError, match="sends no PTP/IP answer"):
+    with (
+        caplog.at_level("INFO"),
+        pytest.raises(CameraTimeoutError, match="sends no PTP/IP answer"),
+    ):
         transport_on(device)
+    assert device.clock.now() == 20
+    assert "has sent nothing for 5 s: waiting for its answer for up to 15 s more" in caplog.text
 
 
 class _EndlessLink:
