@@ -8,16 +8,21 @@ import os
 import re
 import threading
 from collections.abc import Callable
-from functools import cached_property, partial, update_wrapper
+from functools import cached_property, lru_cache, partial, update_wrapper
 from types import FunctionType
 from typing import Any, Generic, TypeVar
 
-from camctl.system.machine_code import KeptCode, Kind, kind_of
+import numpy as np
+from numpy.typing import NDArray
+
+from camctl.system.machine_code import KeptCode, Kind, kind_of, machine_code, native
 
 _Functions = TypeVar("_Functions")
 
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 _JOINED: dict[str, Any] = _OPTIONS | {"_nrt": False, "inline": "always"}
+#: Without what Python and C would call it by.
+_BARE: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 def has_compiler() -> bool:
@@ -80,22 +85,30 @@ class JoinedFunction:
 
     def _loaded(self, kinds: tuple[Kind, ...], arguments: tuple[Any, ...]) -> Callable[..., Any]:
         """Return the machine code for arguments of such kinds, as it was kept or new."""
-        kept = KeptCode(self.function, _JOINED, kinds) if os.name == "posix" else None
+        kept = self._kept(kinds)
         found = None if kept is None else kept.read()
         if found is not None:
             return found
         import numba
 
-        bare: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-        made: Any = numba.njit(**_JOINED, **bare)(self._with_numba())
-        if kept is not None and hasattr(made, "compile"):  # not where numba is told to do nothing
-            made.compile(tuple(map(numba.typeof, arguments)))
-            (signature,) = made.nopython_signatures
-            if signature.return_type == numba.types.none:
-                (text,) = made.inspect_llvm().values()
-                (symbol,) = re.findall(r"^define [^@]*@(\S+?)\(", text, re.MULTILINE)
-                found = kept.made(text, symbol)
-        return found or _compiled(self._with_numba(), _JOINED)
+        made = numba.njit(**_JOINED, **_BARE)(self._with_numba())
+        # It has nothing to compile where numba is told to do nothing.
+        if kept is not None and hasattr(made, "compile") and _is_called_as_expected():
+            text, symbol = _assembly(made, arguments)
+            code = machine_code(text, symbol, kinds) if symbol else None
+            if code is not None:
+                kept.keep(code, symbol)
+                return native(code, symbol, kinds)
+        return _compiled(self._with_numba(), _JOINED)
+
+    def _kept(self, kinds: tuple[Kind, ...]) -> KeptCode | None:
+        """Return the file of the machine code; None where numba is to do all."""
+        if os.name != "posix" or any(name.startswith("NUMBA_") for name in os.environ):
+            return None  # settings of numba are followed by numba
+        try:
+            return KeptCode(self.function, _JOINED, kinds)
+        except ImportError:
+            return None
 
     def _with_numba(self) -> FunctionType:
         """Return the function; what it calls is as numba compiles it."""
@@ -113,6 +126,50 @@ class JoinedFunction:
         import numba
 
         return numba.njit(**_JOINED)(self._with_numba())
+
+
+def _assembly(made: Any, arguments: tuple[Any, ...]) -> tuple[str, str]:
+    """Return what numba has made of a function for LLVM, and its name there; empty: it returns."""
+    import numba
+
+    made.compile(tuple(map(numba.typeof, arguments)))
+    (signature,) = made.nopython_signatures
+    if signature.return_type != numba.types.none:
+        return "", ""
+    (text,) = made.inspect_llvm().values()
+    (symbol,) = re.findall(r"^define [^@]*@(\S+?)\(", text, re.MULTILINE)
+    return text, symbol
+
+
+def _say_arguments(
+    values: NDArray[Any], pair: tuple[NDArray[Any], int], number: float, flag: bool, found: Any
+) -> None:
+    """Write into `found` what the arguments are."""
+    other, count = pair
+    found[0], found[1] = values.shape
+    found[2], found[3] = values.strides
+    found[4], found[5], found[6] = values.size, values.itemsize, values[1, 2]
+    found[7], found[8], found[9], found[10] = len(other), other[3], count, number
+    found[11], found[12] = 1 if flag else 0, len(found)
+
+
+@lru_cache(maxsize=1)
+def _is_called_as_expected() -> bool:
+    """Return whether this numba's machine code gets the arguments that `native` gives it."""
+    import numba
+
+    values = np.arange(60, dtype=np.float32).reshape(5, 12)[::-2, 1::3]
+    pair = (np.arange(7, dtype=np.uint16), -3)
+    found, expected = np.zeros((2, 13))
+    arguments = (values, pair, 2.5, True, found)
+    _say_arguments(values, pair, 2.5, True, expected)
+    kinds = tuple(map(kind_of, arguments))
+    text, symbol = _assembly(numba.njit(**_JOINED, **_BARE)(_say_arguments), arguments)
+    code = machine_code(text, symbol, kinds)
+    if code is None:
+        return False
+    native(code, symbol, kinds)(*arguments)
+    return bool(np.array_equal(found, expected))
 
 
 class LoadedLater(Generic[_Functions]):

@@ -6,7 +6,9 @@ The functions take arrays, numbers and tuples of these, return nothing, and call
 mathematics of C: what does not keep to this is left to numba.
 
 numba passes an argument as the numbers that it consists of, after places for the result and for an
-exception.  A function whose machine code takes others is not kept.
+exception.  How it does that is not documented, and its own C functions (`numba.cfunc`) need parts
+of numba when they run: before machine code is kept, a function that says what it was given is
+called in the same way (`camctl.system.compiled_functions`), and the key has the version of numba.
 """
 
 from __future__ import annotations
@@ -14,6 +16,8 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import json
+import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import lru_cache
@@ -25,8 +29,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from platformdirs import user_cache_dir
 
-from camctl.errors import StorageError
+from camctl.errors import DataError, StorageError
 from camctl.system.files import write_bytes
+from camctl.system.input_files import open_input
 
 Native: TypeAlias = Callable[..., None]
 """Calls machine code with the arguments of a function."""
@@ -49,6 +54,10 @@ _POINTER = (ctypes.c_void_p, "ptr")
 _MATHEMATICS = frozenset({"sqrtf", "sqrt", "erfc", "erfcf", "exp", "expf", "log", "logf"})
 
 
+#: Largest file that is read: a hundred times the largest one of this program.
+_MOST_BYTES = 4 << 20
+
+
 def kind_of(argument: Any) -> Kind:
     """Return the kind of an argument: arrays of one kind differ in their lengths alone."""
     if isinstance(argument, np.ndarray):
@@ -57,6 +66,8 @@ def kind_of(argument: Any) -> Kind:
         return argument.dtype.str, argument.ndim, order, flags.writeable, flags.aligned
     if isinstance(argument, tuple):
         return type(argument), *map(kind_of, argument)
+    if type(argument) is int and not -(2**63) <= argument < 2**63:
+        return (object,)  # as int it would lose bits
     return (type(argument),)
 
 
@@ -121,7 +132,13 @@ def _machine() -> tuple[str, ...]:
     llvm.initialize_native_asmprinter()
     features = llvm.get_host_cpu_features().flatten()
     packages = [version(name) for name in ("numba", "llvmlite", "numpy")]
-    return (*packages, llvm.get_process_triple(), llvm.get_host_cpu_name(), features)
+    return (
+        str(sys.implementation.cache_tag),
+        *packages,
+        llvm.get_process_triple(),
+        llvm.get_host_cpu_name(),
+        features,
+    )
 
 
 def _for_this_machine() -> Any:
@@ -138,13 +155,68 @@ def _for_this_machine() -> Any:
     )
 
 
+def machine_code(text: str, symbol: str, kinds: tuple[Kind, ...]) -> bytes | None:
+    """Return the object file of what numba has made of a function.
+
+    Args:
+        text: for LLVM
+        symbol: its name there
+        kinds: of its arguments
+
+    Returns:
+        None where the function cannot do without numba, or takes its arguments otherwise
+    """
+    import llvmlite.binding as llvm
+
+    module = llvm.parse_assembly(text)
+    try:
+        passed = [each for kind in kinds for each in _passed(kind)]
+    except KeyError:
+        return None
+    expected = [kind for _, kind in (_POINTER, _POINTER, *passed)]
+    called = [each.name for each in module.functions if each.is_declaration]
+    taken = [str(each.type) for each in module.get_function(symbol).arguments]
+    if taken != expected or not all(
+        each.startswith("llvm.") or each in _MATHEMATICS for each in called
+    ):
+        return None
+    code: bytes = _for_this_machine().emit_object(module)
+    return code
+
+
+def native(code: bytes, symbol: str, kinds: tuple[Kind, ...]) -> Native:
+    """Return what calls the function of an object file, see `machine_code`."""
+    import llvmlite.binding as llvm
+
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _for_this_machine())
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    passed = [_POINTER[0]] * 2 + [c for kind in kinds for c, _ in _passed(kind)]
+    call = ctypes.CFUNCTYPE(ctypes.c_int, *passed)(engine.get_function_address(symbol))
+
+    def called(*arguments: Any, _engine: Any = engine) -> None:
+        """Call it; the engine has the code as long as this function is."""
+        result, exception = ctypes.c_void_p(), ctypes.c_void_p()
+        places = [ctypes.addressof(result), ctypes.addressof(exception)]
+        if call(*_flattened(arguments, places)):
+            raise RuntimeError(f"the machine code of {symbol} ended with an error")
+
+    return called
+
+
 class KeptCode:
     """The file of the machine code of one function for some kinds of arguments.
+
+    Files of another version of Python or numba, or of another processor, have other names: those of
+    several computers may share a folder.
 
     Args:
         function: the function, which calls others that have an attribute `function` with theirs
         options: with which it is compiled
         kinds: of its arguments
+
+    Raises:
+        ImportError: numba is not installed as a package whose version is known
     """
 
     def __init__(
@@ -152,8 +224,9 @@ class KeptCode:
     ) -> None:
         self._kinds = kinds
         content = list(_content(function, set()))
-        self._key = _digest(repr((content, sorted(options.items()), _machine())))
-        name = f"{function.__module__}.{function.__name__}-{_digest(repr(kinds))[:16]}.o"
+        self._key = _digest(repr((content, sorted(options.items()), kinds, _machine())))
+        place = _digest(repr((kinds, _machine())))[:16]
+        name = f"{function.__module__}.{function.__name__}-{place}.o"
         beside = Path(function.__code__.co_filename).parent / "__pycache__"
         self._paths = [
             each / name for each in (beside, Path(user_cache_dir("camctl")) / "compiled")
@@ -162,63 +235,35 @@ class KeptCode:
     def read(self) -> Native | None:
         """Return what the file has; None where there is none, or an older or a damaged one."""
         for path in self._paths:
-            with suppress(OSError, ValueError, KeyError):
-                head, code = path.read_bytes().split(b"\n", 1)
+            with suppress(DataError, OSError, ValueError, KeyError, TypeError):
+                head, code = _own_bytes(path).split(b"\n", 1)
                 stated = json.loads(head)
                 if stated["key"] == self._key and stated["sha256"] == _digest(code):
-                    return self._native(code, stated["symbol"])
+                    return native(code, stated["symbol"], self._kinds)
         return None
 
-    def made(self, text: str, symbol: str) -> Native | None:
-        """Keep and return machine code of what numba has made of the function.
-
-        Args:
-            text: for LLVM
-            symbol: its name there
-
-        Returns:
-            None where the function cannot do without numba, or takes its arguments otherwise
-        """
-        import llvmlite.binding as llvm
-
-        module = llvm.parse_assembly(text)
-        own = module.get_function(symbol)
-        try:
-            passed = [each for kind in self._kinds for each in _passed(kind)]
-        except KeyError:
-            return None
-        expected = [kind for _, kind in (_POINTER, _POINTER, *passed)]
-        called = [each.name for each in module.functions if each.is_declaration]
-        if [str(each.type) for each in own.arguments] != expected or not all(
-            each.startswith("llvm.") or each in _MATHEMATICS for each in called
-        ):
-            return None
-        code = _for_this_machine().emit_object(module)
+    def keep(self, code: bytes, symbol: str) -> None:
+        """Write what `machine_code` has returned, where a file can be written."""
         head = {"key": self._key, "symbol": symbol, "sha256": _digest(code)}
         for path in self._paths:
             with suppress(OSError, StorageError):
                 path.parent.mkdir(parents=True, exist_ok=True)
                 write_bytes(path, json.dumps(head).encode() + b"\n" + code)
                 break
-        return self._native(code, symbol)
 
-    def _native(self, code: bytes, symbol: str) -> Native:
-        import llvmlite.binding as llvm
 
-        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _for_this_machine())
-        engine.add_object_file(llvm.ObjectFileRef.from_data(code))
-        engine.finalize_object()
-        passed = [_POINTER[0]] * 2 + [c for kind in self._kinds for c, _ in _passed(kind)]
-        call = ctypes.CFUNCTYPE(ctypes.c_int, *passed)(engine.get_function_address(symbol))
+def _own_bytes(path: Path) -> bytes:
+    """Return the content of a file that this user or the system's administrator wrote.
 
-        def native(*arguments: Any, _engine: Any = engine) -> None:
-            """Call it; the engine has the code as long as this function is."""
-            result, exception = ctypes.c_void_p(), ctypes.c_void_p()
-            places = [ctypes.addressof(result), ctypes.addressof(exception)]
-            if call(*_flattened(arguments, places)):
-                raise RuntimeError(f"the machine code of {symbol} ended with an error")
+    Whoever can write machine code decides what this process does.
 
-        return native
+    Raises:
+        DataError: the file cannot be read, or is of somebody else
+    """
+    with open_input(path, "") as file:
+        if os.fstat(file.fileno()).st_uid not in (0, os.geteuid()):
+            raise DataError(f"{path} is of another user")
+        return file.read(_MOST_BYTES)
 
 
 def _digest(content: str | bytes) -> str:
