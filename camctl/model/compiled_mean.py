@@ -20,7 +20,7 @@ _compiled = compiler(are_joined=True) or (lambda function: function)
 
 #: Samples at a time, and their first index, without a sign: see `camctl.model.compiled_alike`.
 _AT_ONCE = np.uint64(512)
-_NEAR_ZERO = np.float32(CLIPPING_SIGMAS)
+_NEAR_ZERO, _ZERO = np.float32(CLIPPING_SIGMAS), np.float32(0)
 
 #: Of a sample: `LightTables.mean` says no more about it; it does; all frames are saturated.
 _PLAIN, _SPECIAL, _WHITE = (np.uint8(x) for x in range(3))
@@ -32,6 +32,7 @@ class _Tables(NamedTuple):
     Attributes:
         first: bin of each sum of samples
         white, lowest: value from which on a sample of each frame is not in a bin below this one
+        unused: bin from which on a frame has no weight
         irradiance, weights, deviation: see there
         is_special: whether what is not clipped says more about a bin's light
     """
@@ -39,6 +40,7 @@ class _Tables(NamedTuple):
     first: NDArray[np.uint32]
     white: NDArray[np.uint32]
     lowest: NDArray[np.uint32]
+    unused: NDArray[np.uint32]
     irradiance: Floats32
     weights: Floats32
     deviation: Floats32
@@ -47,10 +49,12 @@ class _Tables(NamedTuple):
 
 @lru_cache(maxsize=KEPT_TABLES)
 def _tables_of(tables: LightTables) -> _Tables:
+    weighs = np.pad(tables.weights != 0, ((0, 0), (1, 0)), constant_values=True)
     return _Tables(
         tables.first_bins.astype(np.uint32),
         np.full(len(tables.exposures), tables.white, np.uint32),
         tables.saturating.astype(np.uint32),
+        (weighs.shape[1] - 1 - np.argmax(weighs[:, ::-1], axis=1)).astype(np.uint32),
         tables.irradiance,
         tables.weights,
         tables.deviation,
@@ -84,11 +88,14 @@ def _mean(
             for j in range(here):
                 is_white = np.uint32(values[at, first + j]) >= white
                 work[j] = max(work[j], lowest) if is_white else work[j]
+        darkest = np.uint32(0xFFFFFFFF)
         for j in range(here):
-            light[first + j] = (
-                tables.weights[0, work[j]] * tables.irradiance[0, values[0, first + j]]
-            )
-        for at in range(1, len(values)):
+            darkest = min(darkest, work[j])
+        for j in range(here):
+            light[first + j] = _ZERO
+        for at in range(len(values)):
+            if darkest >= tables.unused[at]:
+                continue
             for j in range(here):
                 sample = tables.irradiance[at, values[at, first + j]]
                 light[first + j] += tables.weights[at, work[j]] * sample
