@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.model.joined_frames import Cells, CellsLight
+from camctl.model.joined_frames import Cells
 from camctl.model.light import Floats32
 from camctl.model.light_bins import DROPPED
 from camctl.system.compiled_functions import compiler
@@ -48,8 +48,9 @@ _ABOVE, _SQUARES, _LOST = _starts(15, 27, 4)
 _IS_MIXED, _IS_WHITE = _starts(27, 29)
 _ROWS = 29
 
-#: What is known of a cell: its light; that no sample is mixed; that one is.
-DONE, OTHER, MIXED = (np.uint8(x) for x in range(3))
+ALIKE, KEPT, WHITE, BY_SAMPLE, OTHER, MIXED = (np.uint8(x) for x in range(6))
+"""Kinds of cells: frames are alike for all samples; not chosen; all frames are saturated; samples
+have errors of their own; not joined yet, without and with a sample that another colour hides."""
 
 
 class Tables(NamedTuple):
@@ -76,6 +77,46 @@ class Tables(NamedTuple):
     ends: Floats32
     first: int
     order: NDArray[np.uint64]
+
+
+class Joined(NamedTuple):
+    """The light of cells, and its errors.
+
+    Attributes:
+        light: of samples, (4, C)
+        own, common: standard deviation by what each frame has of its own, and by what frames have
+            in common, of cells whose frames are alike, (C,)
+        scatter: of the frames, and what noise makes of it, sums of the samples, (2, C)
+        kinds: of the cells, (C,)
+        places: cells whose samples have errors of their own, (P,), ascending
+        of_samples: `own` and `common` of these, (2, 4, P)
+    """
+
+    light: Floats32
+    own: Floats32
+    common: Floats32
+    scatter: Floats32
+    kinds: NDArray[np.uint8]
+    places: NDArray[np.intp]
+    of_samples: Floats32
+
+    @classmethod
+    def of(cls, count: int) -> Joined:
+        """Return it for so many cells; nothing of them is known."""
+        return cls(
+            np.empty((4, count), np.float32),
+            np.empty(count, np.float32),
+            np.empty(count, np.float32),
+            np.empty((2, count), np.float32),
+            np.empty(count, np.uint8),
+            np.empty(0, np.intp),
+            np.empty((2, 4, 0), np.float32),
+        )
+
+    def by_sample(self) -> Joined:
+        """Return the same with room for cells that are not joined yet."""
+        places = np.flatnonzero(self.kinds >= OTHER)
+        return self._replace(places=places, of_samples=np.empty((2, 4, places.size), np.float32))
 
 
 class Lanes(NamedTuple):
@@ -217,63 +258,53 @@ def _add(
 @_compiled
 def _write(
     cells: Cells,
-    found: CellsLight,
+    found: Joined,
     lanes: Lanes,
     start: np.uint64,
     count: np.uint64,
     reach: np.float32,
 ) -> None:
     """Set what is found of cells, which holds where they are alike."""
-    rows = lanes.rows
+    rows, deviation = lanes.rows, cells.deviation
     for j in range(count):
-        weights, shared = rows[_WEIGHTS + j], rows[_SHARED + j]
+        weights, shared, c = rows[_WEIGHTS + j], rows[_SHARED + j], start + j
+        one, two, three, four = deviation[0, c], deviation[1, c], deviation[2, c], deviation[3, c]
+        whole = (one + two) + (three + four)
+        is_unknown = (one != one) & (two != two) & (three != three) & (four != four)
+        is_one = (weights > _ZERO) & ((whole == whole) | is_unknown)
         total = weights if weights > _ZERO else _ONE
-        rows[_NOISE + j] = np.sqrt(rows[_OWN + j]) / total
-        rows[_STEP + j] = shared / total
-        rows[_LESS + j] = rows[_COUNT + j] - (rows[_OWN + j] + shared * shared) / total
+        own = np.sqrt(rows[_OWN + j]) / total
+        rows[_NOISE + j], rows[_STEP + j] = whole if is_unknown else own, shared / total
+        less = rows[_COUNT + j] - (rows[_OWN + j] + shared * shared) / total
+        rows[_LESS + j] = ((less + less) + less) + less
         rows[_MOST + j] = reach * np.sqrt(_ONE / total)
-        rows[_BEFORE + j] = total
-        rows[_IS_ALIKE + j] = rows[_IS_ALIKE + j] if weights > _ZERO else _ZERO
+        rows[_BEFORE + j], rows[_SQUARE + j] = total, _ZERO
+        rows[_IS_ALIKE + j] = rows[_IS_ALIKE + j] if is_one else _ZERO
     for k in range(_FOUR):
         for j in range(count):
-            c, sums = start + j, k * _ROW + j
+            sums = k * _ROW + j
             above, weights, is_alike = rows[_ABOVE + sums], rows[_BEFORE + j], rows[_IS_ALIKE + j]
             mean = above / weights
             rows[_IS_ALIKE + j] = _ZERO if mean < rows[_MOST + j] else is_alike
-            known = cells.deviation[k, c]
-            scatter = max(rows[_SQUARES + sums] - above * above / weights, _ZERO)
-            rows[_ABOVE + sums], rows[_SQUARES + sums] = mean, scatter
-            rows[_LOST + sums] = rows[_NOISE + j] if known == known else known
-    for k in range(_FOUR):
-        for j in range(count):
-            c, sums = start + j, k * _ROW + j
-            found.light[k, c] = rows[_ABOVE + sums]
-            found.deviation[k, c] = rows[_LOST + sums]
-            found.common[k, c] = rows[_STEP + j]
-            found.scatter[0, k, c] = rows[_SQUARES + sums]
-            found.scatter[1, k, c] = rows[_LESS + j]
+            rows[_SQUARE + j] += max(rows[_SQUARES + sums] - above * above / weights, _ZERO)
+            found.light[k, start + j] = mean
+    for j in range(count):
+        c = start + j
+        found.own[c], found.common[c] = rows[_NOISE + j], rows[_STEP + j]
+        found.scatter[0, c], found.scatter[1, c] = rows[_SQUARE + j], rows[_LESS + j]
 
 
 @_compiled
 def _keep(
-    cells: Cells,
-    chosen: NDArray[np.bool_],
-    found: CellsLight,
-    lanes: Lanes,
-    start: np.uint64,
-    count: np.uint64,
+    cells: Cells, found: Joined, kinds: NDArray[np.uint8], start: np.uint64, count: np.uint64
 ) -> None:
     """Leave the light of cells as it is where no frame says more of it."""
     for j in range(count):
         c = start + j
-        if chosen[c] and lanes.rows[_IS_WHITE + j] == _ZERO:
-            continue
-        for k in range(4):
-            deviation = cells.deviation[k, c]
-            is_white = chosen[c] and deviation == deviation
-            found.light[k, c], found.common[k, c] = cells.light[k, c], cells.common[c]
-            found.deviation[k, c] = _INFINITE if is_white else deviation
-            found.scatter[0, k, c] = found.scatter[1, k, c] = _ZERO
+        if kinds[c] == KEPT or kinds[c] == WHITE:
+            for k in range(4):
+                found.light[k, c] = cells.light[k, c]
+            found.scatter[0, c] = found.scatter[1, c] = _ZERO
 
 
 @_compiled
@@ -281,11 +312,10 @@ def _join_alike(
     cells: Cells,
     tables: Tables,
     chosen: NDArray[np.bool_],
-    found: CellsLight,
+    found: Joined,
     lanes: Lanes,
-    state: NDArray[np.uint8],
 ) -> None:
-    rows, whole = lanes.rows, np.uint64(len(chosen))
+    rows, whole, kinds = lanes.rows, np.uint64(len(chosen)), found.kinds
     for start in range(_NULL, whole, _ROW):
         count, some = min(_ROW, whole - start), _ZERO
         frames = _begin(cells, tables, lanes, start, count)
@@ -301,26 +331,22 @@ def _join_alike(
             _write(cells, found, lanes, start, count, tables.ends[4])
         kept = _NONE
         for j in range(count):
-            is_kept = (rows[_IS_WHITE + j] > _ZERO) | (not chosen[start + j])
-            kind = MIXED if rows[_IS_MIXED + j] > _ZERO else OTHER
-            state[start + j] = DONE if is_kept | (rows[_IS_ALIKE + j] > _ZERO) else kind
-            kept |= _ONE_BIT if is_kept else _NONE
+            is_chosen, is_white = chosen[start + j], rows[_IS_WHITE + j] > _ZERO
+            rest = MIXED if rows[_IS_MIXED + j] > _ZERO else OTHER
+            kind = ALIKE if rows[_IS_ALIKE + j] > _ZERO else rest
+            kept |= _NONE if is_chosen & (not is_white) else _ONE_BIT
+            kinds[start + j] = (WHITE if is_white else kind) if is_chosen else KEPT
         if kept:
-            _keep(cells, chosen, found, lanes, start, count)
+            _keep(cells, found, kinds, start, count)
 
 
-def join_alike(
-    cells: Cells, tables: Tables, chosen: NDArray[np.bool_], found: CellsLight
-) -> NDArray[np.uint8]:
-    """Set the light of chosen cells, each frame of which counts for all samples or for none.
+def join_alike(cells: Cells, tables: Tables, chosen: NDArray[np.bool_]) -> Joined:
+    """Return the light of chosen cells, each frame of which counts for all samples or for none.
 
     Weights are those of the cell, where no sample may be saturated or made darker, and frames do
     not contradict each other, since the first light is in reach of all of them.  Cells that are
     not chosen, or are saturated in all frames, keep the light that they have.
-
-    Returns:
-        whether that is `DONE`; else whether cells are `MIXED`, or an `OTHER` one, (C,)
     """
-    state = np.empty(len(chosen), np.uint8)
-    _join_alike(cells, tables, chosen, found, Lanes.new(), state)
-    return state
+    found = Joined.of(len(chosen))
+    _join_alike(cells, tables, chosen, found, Lanes.new())
+    return found

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.model.joined_frames import CellsLight
+from camctl.model.compiled_alike import ALIKE, BY_SAMPLE, WHITE, Joined
+from camctl.model.joined_frames import Cells
 from camctl.model.light import KEPT_TABLES, Floats32, LightTables
 from camctl.model.light_bins import DROPPED
 from camctl.system.compiled_functions import compiler
@@ -21,6 +22,7 @@ from camctl.system.compiled_functions import compiler
 _compiled = compiler(are_joined=True) or (lambda function: function)
 
 _ZERO, _ONE, _QUARTER = (np.float32(x) for x in (0, 1, 0.25))
+_INFINITE, _ALL_ALIKE = np.float32(np.inf), np.uint8(ALIKE)
 _DROPPED = np.uint32(DROPPED)
 #: Cells at a time, where loops are split so that they can be done side by side.
 _AT_ONCE = np.uint64(512)
@@ -160,47 +162,66 @@ def small_errors(
 @_compiled
 def _put(
     scatter: Floats32,
-    chosen: NDArray[np.bool_],
     known: np.float32,
-    found: CellsLight,
+    cells: Cells,
+    found: Joined,
     light: Floats32,
     deviation: Floats32,
 ) -> None:
-    columns = light.shape[1] // 2
+    columns, slot = light.shape[1] // 2, 0
     for row in range(light.shape[0] // 2):
-        first = np.uint64(row * columns)
+        first, some = np.uint64(row * columns), _ALL_ALIKE
         for down in range(2):
             k = 2 * down
             for c in range(columns):
                 i = first + np.uint64(c)
                 ratio = np.sqrt((scatter[0, i] + known) / (scatter[1, i] + known))
-                ratio = ratio if chosen[i] else _ONE
-                left, right = found.deviation[k, i] * ratio, found.deviation[k + 1, i] * ratio
-                one, other = found.common[k, i], found.common[k + 1, i]
-                deviation[k // 2 + 2 * row, 2 * c] = np.sqrt(left * left + one * one)
-                deviation[k // 2 + 2 * row, 2 * c + 1] = np.sqrt(right * right + other * other)
+                own, common = found.own[i] * ratio, found.common[i]
+                both = np.sqrt(own * own + common * common)
+                deviation[down + 2 * row, 2 * c] = deviation[down + 2 * row, 2 * c + 1] = both
             for c in range(columns):
                 i = first + np.uint64(c)
-                light[k // 2 + 2 * row, 2 * c] = found.light[k, i]
-                light[k // 2 + 2 * row, 2 * c + 1] = found.light[k + 1, i]
+                light[down + 2 * row, 2 * c] = found.light[k, i]
+                light[down + 2 * row, 2 * c + 1] = found.light[k + 1, i]
+        for c in range(columns):
+            some |= found.kinds[first + np.uint64(c)]
+        if some == _ALL_ALIKE:
+            continue
+        for c in range(columns):
+            i = first + np.uint64(c)
+            kind, ratio = found.kinds[i], _ONE
+            if kind == ALIKE:
+                continue
+            if kind == BY_SAMPLE:
+                ratio = np.sqrt((scatter[0, i] + known) / (scatter[1, i] + known))
+            for k in range(4):
+                own, common = cells.deviation[k, i], cells.common[i]
+                if kind == BY_SAMPLE:
+                    own, common = found.of_samples[0, k, slot] * ratio, found.of_samples[1, k, slot]
+                elif kind == WHITE:
+                    own = own if own != own else _INFINITE
+                both = np.sqrt(own * own + common * common)
+                deviation[2 * row + k // 2, 2 * c + k % 2] = both
+            slot += 1 if kind == BY_SAMPLE else 0
 
 
 def put(
     scatter: Floats32,
-    chosen: NDArray[np.bool_],
     known: float,
-    found: CellsLight,
+    cells: Cells,
+    found: Joined,
     light: Floats32,
     deviation: Floats32,
 ) -> None:
     """Set the light of samples and its standard deviation, by both kinds of errors.
 
     Args:
-        scatter: of the frames around each cell, and what noise makes of it, (2, C)
-        chosen: cells whose own deviation follows that, (C,)
+        scatter: of the frames around each cell, and what noise makes of it, (2, C), which the own
+            deviation of chosen cells follows
         known: scatter that the noise is known from besides
-        found: of the samples of cells
+        cells: with the deviation of those that are not chosen
+        found: of the cells
         light: (rows, columns)
         deviation: likewise
     """
-    _put(scatter, chosen, np.float32(known), found, light, deviation)
+    _put(scatter, np.float32(known), cells, found, light, deviation)

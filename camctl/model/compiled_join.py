@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.model.compiled_alike import DONE, OTHER, Tables, join_alike
-from camctl.model.joined_frames import Cells, CellsLight
+from camctl.model.compiled_alike import BY_SAMPLE, OTHER, Joined, Tables, join_alike
+from camctl.model.joined_frames import Cells
 from camctl.model.light import KEPT_TABLES, Floats32, LightTables
 from camctl.model.light_bins import DROPPED
 from camctl.model.sensor import CLIPPING_SIGMAS, FILE_OFFSET
@@ -65,6 +65,7 @@ class _Lanes(NamedTuple):
         levels: of a frame
         bins: of light
         cells: which they are
+        slots: their places in `Joined.places`
     """
 
     rows: Floats32
@@ -74,6 +75,7 @@ class _Lanes(NamedTuple):
     levels: NDArray[np.uint32]
     bins: NDArray[np.uint32]
     cells: NDArray[np.uint64]
+    slots: NDArray[np.intp]
 
     @classmethod
     def new(cls, frames: int) -> _Lanes:
@@ -88,6 +90,7 @@ class _Lanes(NamedTuple):
             np.zeros(count, np.uint32),
             np.zeros(count, np.uint32),
             np.zeros(int(_CELLS), np.uint64),
+            np.zeros(int(_CELLS), np.intp),
         )
 
 
@@ -309,9 +312,9 @@ def _above_zero(mean: np.float32, spread: np.float32) -> tuple[np.float32, np.fl
 
 
 @_compiled
-def _write(cells: Cells, tables: Tables, lanes: _Lanes, found: CellsLight, j: np.uint64) -> None:
+def _write(cells: Cells, tables: Tables, lanes: _Lanes, found: Joined, j: np.uint64) -> None:
     """Set what is found of the samples of a cell."""
-    rows, c, at = lanes.rows, lanes.cells[j], tables.order[0]
+    rows, c, at, measured, all_expected = lanes.rows, lanes.cells[j], tables.order[0], _ZERO, _ZERO
     limit = tables.ends[2] - tables.ends[4] * cells.errors[at, c]
     for k in range(_FOUR):
         i = k * _CELLS + j
@@ -326,9 +329,14 @@ def _write(cells: Cells, tables: Tables, lanes: _Lanes, found: CellsLight, j: np
             expected = rows[_COUNT + i] - (own + shared * shared) / weights
         elif is_known and (cells.hidden[at, k, c] or cells.values[at, k, c] > limit):
             deviation = _INFINITE
-        found.light[k, c], found.deviation[k, c] = rows[_LIGHT + i], deviation
-        found.common[k, c] = common
-        found.scatter[0, k, c], found.scatter[1, k, c] = scatter, expected
+        found.light[k, c] = rows[_LIGHT + i]
+        found.of_samples[0, k, lanes.slots[j]], found.of_samples[1, k, lanes.slots[j]] = (
+            deviation,
+            common,
+        )
+        measured += scatter
+        all_expected += expected
+    found.scatter[0, c], found.scatter[1, c], found.kinds[c] = measured, all_expected, BY_SAMPLE
 
 
 @_compiled
@@ -346,19 +354,19 @@ def _is_even(lanes: _Lanes, j: np.uint64) -> bool:
 def _join_some(
     cells: Cells,
     tables: Tables,
-    places: NDArray[np.intp],
+    slots: NDArray[np.intp],
     by_cell: bool,
-    found: CellsLight,
+    found: Joined,
     lanes: _Lanes,
     dim: NDArray[np.bool_],
-    state: NDArray[np.uint8],
 ) -> None:
-    rows, count = lanes.rows, np.uint64(len(places))
+    rows, count = lanes.rows, np.uint64(len(slots))
     for start in range(_NULL, count, _CELLS):
         for j in range(_CELLS):
             place = start + j
             # The last cell again where there are no more.
-            lanes.cells[j] = places[place if place < count else count - _ONCE]
+            lanes.slots[j] = slots[place if place < count else count - _ONCE]
+            lanes.cells[j] = found.places[lanes.slots[j]]
         last = _begin(cells, tables, lanes, by_cell)
         for each in range(last):
             dim[each] = _look(cells, tables, lanes, each)
@@ -374,17 +382,16 @@ def _join_some(
             if by_cell and not _is_even(lanes, j):
                 continue
             _write(cells, tables, lanes, found, j)
-            state[lanes.cells[j]] = DONE
 
 
-def join_cells(
-    tables: LightTables, cells: Cells, chosen: NDArray[np.bool_], found: CellsLight
-) -> None:
-    """Set the light of cells, that of chosen ones from frames whose errors change weights."""
+def join_cells(tables: LightTables, cells: Cells, chosen: NDArray[np.bool_]) -> Joined:
+    """Return the light of cells, that of chosen ones from frames whose errors change weights."""
     of_colour, count = _tables_of(tables), len(cells.values)
-    state = join_alike(cells, of_colour, chosen, found)
+    found = join_alike(cells, of_colour, chosen).by_sample()
     lanes, dim = _Lanes.new(count), np.empty(count, np.bool_)
     for by_cell in (True, False):
         # Samples of mixed cells, and of others that are of several frames, have their own weights.
-        places = np.flatnonzero(state == OTHER if by_cell else state != DONE)
-        _join_some(cells, of_colour, places, by_cell, found, lanes, dim, state)
+        kinds = found.kinds.take(found.places)
+        slots = np.flatnonzero(kinds == OTHER if by_cell else kinds != BY_SAMPLE)
+        _join_some(cells, of_colour, slots, by_cell, found, lanes, dim)
+    return found

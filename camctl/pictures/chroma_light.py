@@ -155,23 +155,27 @@ def _replace(
         light: (rows, columns)
         deviation: likewise
     """
+    if compiled is not None:
+        joined = compiled.join_cells(tables, cells, chosen)
+        scatter = _around(joined.scatter, light.shape[0])
+        compiled.put(scatter, _KNOWN, cells, joined, light, deviation)
+        return
     empty = np.empty((5, *cells.light.shape), np.float32)
     found = CellsLight(empty[0], empty[1], empty[2], empty[3:])
-    (compiled.join_cells if compiled else _join_cells)(tables, cells, chosen, found)
-    shape = light.shape[0] // 2, -1
-    scatter = np.stack(
-        [box_means(each.reshape(shape), _AROUND) for each in found.scatter.sum(axis=1)]
-    )
-    measured, expected = scatter = scatter.reshape(2, -1)
-    if compiled is not None:
-        compiled.put(scatter, chosen, _KNOWN, found, light, deviation)
-        return
+    _join_cells(tables, cells, chosen, found)
+    measured, expected = _around(found.scatter.sum(axis=1), light.shape[0])
     ratio = np.sqrt((measured + _KNOWN) / (expected + _KNOWN))
     own = found.deviation * np.where(chosen, ratio, np.float32(1))
     # Four times as fast as `np.hypot`; none of them is so small that its square vanishes.
     own = np.sqrt(np.square(own) + np.square(found.common))
     for whole, each in ((light, found.light), (deviation, own)):
         _cells_of(whole)[...] = each.reshape(2, 2, *_cells_of(whole).shape[2:])
+
+
+def _around(scatter: Floats32, rows: int) -> Floats32:
+    """Return the means of values of cells, (2, C), of those around each, in so many rows."""
+    planes = scatter.reshape(2, rows // 2, -1)
+    return np.stack([box_means(each, _AROUND) for each in planes]).reshape(2, -1)
 
 
 def _compiled(size: int) -> ModuleType | None:
