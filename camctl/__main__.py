@@ -55,8 +55,8 @@ def settle() -> None:
     # Pydantic would look for plugins in the files of all installed packages.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     # Searches for unused objects, each few hundred new ones, take a thirtieth of a capture, and
-    # without any a series or a live view takes no more memory.
-    gc.set_threshold(50_000)
+    # without any a series or a live view takes no more memory.  Loading libraries makes 100,000.
+    gc.set_threshold(200_000)
 
 
 def run() -> int:

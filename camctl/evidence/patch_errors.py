@@ -145,15 +145,25 @@ def _trimmed_median(values: _Floats, spread: float) -> float:
     return _median_of_ascending(ascending)
 
 
-def _trimmed_mean(values: _Floats) -> float:
-    """Return the mean of positive values without those above `TRIM` squared times the median.
+def _medians(ascending: _Floats, counts: NDArray[np.intp]) -> _Floats:
+    """Return the medians of rows of ascending numbers, of each of which so many count."""
+    rows = np.arange(len(ascending))
+    return np.asarray((ascending[rows, (counts - 1) // 2] + ascending[rows, counts // 2]) / 2)
+
+
+def _trimmed_means(values: _Floats, counts: NDArray[np.intp]) -> _Floats:
+    """Return means of rows of positive values without those above `TRIM` squared times the median.
 
     Blocks of JPEG files have such variances: many are smooth and some are not.
+
+    Args:
+        values: infinite in the places that do not count; they are sorted in place
+        counts: of the places that do, in each row
     """
-    ascending = np.sort(values)
-    most = TRIM**2 * max(_median_of_ascending(ascending), 1e-12)
-    kept = ascending[: np.searchsorted(ascending, most, side="right")]
-    return float(kept.sum()) / kept.size  # in a third of the time of `np.mean`
+    values.sort(axis=1)
+    most = TRIM**2 * np.maximum(_medians(values, counts), 1e-12)
+    kept = values <= most[:, np.newaxis]
+    return np.asarray(np.where(kept, values, 0.0).sum(axis=1) / np.count_nonzero(kept, axis=1))
 
 
 def fitted_model(part: PatchErrors, prediction: Prediction) -> Prediction:
@@ -210,24 +220,28 @@ def fitted_tables(part: PatchErrors, prediction: Prediction) -> Prediction:
     if part.size < LEAST_PATCHES:
         return prediction
     order, bins = _by_brightness(part)
-    count = len(bins)
-    ends = np.cumsum([0, *map(len, bins)]).tolist()
     least = (part.own + part.shared)[order]
     unit = np.maximum(part.light[order], np.sqrt(least))
-    variances, biases = part.variance[order] / least, part.error[order] / unit
-    units, samples = np.square(unit) / least, part.count[order]
-    places, rows = [], []
-    for number, middle in enumerate(bins):
-        # Those beside it, too: a band of a smooth sky has one error of its own in JPEG files.
-        each = slice(ends[max(0, number - 1)], ends[min(number + 2, count)])
-        own = _trimmed_mean(variances[each])
-        bias = _within(median(biases[each]), MOST_BIAS)
-        errors = np.square(biases[each] - bias) * units[each]
-        shared = max(_trimmed_mean(errors) - own / float(samples[each].mean()), 0.0)
-        places.append(_median_of_ascending(middle))
-        rows.append((bias, own, shared))
+    # Those beside a bin, too: a band of a smooth sky has one error of its own in JPEG files.
+    ends, numbers = np.cumsum([0, *map(len, bins)]), np.arange(len(bins))
+    first = ends[np.maximum(numbers - 1, 0)]
+    counts = ends[np.minimum(numbers + 2, len(bins))] - first
+    columns = np.arange(counts.max())
+    others = columns >= counts[:, np.newaxis]
+    near = np.minimum(first[:, np.newaxis] + columns, part.size - 1)
+
+    def rows(values: _Floats, other: float = np.inf) -> _Floats:
+        return np.where(others, other, values.take(near))
+
+    own = _trimmed_means(rows(part.variance[order] / least), counts)
+    biases = rows(part.error[order] / unit)
+    bias = np.clip(_medians(np.sort(biases, axis=1), counts), -MOST_BIAS, MOST_BIAS)
+    errors = np.square(biases - bias[:, np.newaxis]) * (np.square(unit) / least).take(near)
+    samples = rows(part.count[order], 0.0).sum(axis=1) / counts
+    shared = np.maximum(_trimmed_means(errors, counts) - own / samples, 0.0)
+    places = [_median_of_ascending(each) for each in bins]
     at = np.arange(prediction.mean.size)
-    bias, own, shared = (np.interp(at, places, column) for column in zip(*rows, strict=True))
+    bias, own, shared = (np.interp(at, places, each) for each in (bias, own, shared))
     least = prediction.own + prediction.shared
     unit = np.maximum(prediction.mean, np.sqrt(least))
     own, shared = own * least, shared * least

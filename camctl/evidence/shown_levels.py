@@ -26,6 +26,7 @@ from camctl.interface.controls import ExposureControls, Layout
 from camctl.model.quantiles import NORMAL_MAD, student
 from camctl.model.response.camera import CameraResponse, FloatArray
 from camctl.model.sensor import CLIPPING_SIGMAS, RESPONSE_ERROR
+from camctl.system.picture_operations import looked_up
 
 
 class _Full(NamedTuple):
@@ -285,14 +286,15 @@ def _full(
     found = []
     least, mean = np.zeros((2, *frames[0].shape))  # irradiance of each sample, by the frames so far
     for k in np.argsort(exposures, kind="stable").tolist():
-        shown = light[frames[k]]
+        shown = looked_up(light, frames[k])
         certain = least * exposures[k] > 1
         if certain.any():
             logs = np.log([mean[certain] * exposures[k], np.maximum(shown[certain], high[0])])
             found.append(_Full(frames[k][certain], *logs - np.median(logs, axis=1, keepdims=True)))
-        at_least = (shown - CLIPPING_SIGMAS * _noise(shown)[:, None]) / exposures[k]
-        mean = np.where(at_least > least, shown / exposures[k], mean)
-        least = np.maximum(at_least, least)
+        at_least = shown - CLIPPING_SIGMAS * _noise(shown)[:, None]
+        at_least /= exposures[k]
+        np.divide(shown, exposures[k], out=mean, where=at_least > least)
+        np.maximum(at_least, least, out=least)
     return found
 
 
