@@ -13,6 +13,7 @@ from sampling import some
 from small_cameras import small_camera
 
 import camctl
+from camctl.evidence import marks
 from camctl.evidence.light_ratio import NeighbourCheck
 from camctl.evidence.marks import FALSE_ALARMS
 from camctl.evidence.movement import Movement, find_movement
@@ -362,6 +363,32 @@ def test_dark_things_are_found_whatever_the_fraction_of_the_black_level_is(black
     assert marks[thing].mean() > 0.45
     marks[86:154, 16:104] = False
     assert marks.mean() < FALSE_ALARMS
+
+
+def test_compiled_code_finds_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In areas within the picture and at its edges, with samples that saturate, and means."""
+    pytest.importorskip("numba")
+    monkeypatch.setattr(marks, "STRIP_SAMPLES", 1 << 14)
+    monkeypatch.setattr(marks, "_AREA_SAMPLES", 1 << 12)
+    rng, light = np.random.default_rng(5), np.linspace(0.01, 0.4, 230) * np.ones((150, 1))
+    moved = light.copy()
+    moved[40:60, 30:70] *= 1.5
+    moved[135:, 50:60] *= 0.6
+    frames: list[Pixels] = []
+    for exposure, each in ((1.0, light), (3.0, moved)):
+        levels = rng.poisson(each * exposure * 23900) / 100 + rng.normal(0, 0.8, each.shape)
+        frames.append(np.clip(np.rint(levels + 16), 0, 255).astype(np.uint8))
+    pair, results = pair_of(frames, (1.0, 3.0), FrameNoise(100.0, 0.8)), []
+    for least in (1 << 60, 0):
+        monkeypatch.setattr(marks, "SAMPLES_WORTH_LOADING", least)
+        results.append(find_movement(rows_of(frames), frames[0].shape, [pair]))
+    numpy, compiled = results
+    assert numpy is not None
+    assert compiled is not None
+    assert numpy.found.places
+    assert numpy.found == compiled.found
+    np.testing.assert_array_equal(numpy.marks, compiled.marks)
+    np.testing.assert_array_equal(numpy.cells, compiled.cells)
 
 
 def test_borders_have_no_more_false_alarms_than_the_rest() -> None:
