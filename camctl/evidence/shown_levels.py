@@ -224,6 +224,10 @@ def saturation_level(
     Returns:
         None where the frames saturate at `white`, or do not show where they do
     """
+    # So many samples at `white` are above any lower level of saturation.
+    size = sum(frame.size for frame in frames)
+    if sum(np.count_nonzero(frame >= white) for frame in frames) > SIGNIFICANCE * size:
+        return None
     found = _full(frames, exposures, response, black)
     if not found:
         return None
