@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from camctl.errors import RefusedSettingError as RefusedSettingError
     from camctl.errors import ResourceError as ResourceError
     from camctl.errors import StorageError as StorageError
+    from camctl.errors import UnreachableExposureError as UnreachableExposureError
     from camctl.errors import UsageError as UsageError
     from camctl.evidence.ratio_check import RatioCheck as RatioCheck
     from camctl.exposure.accuracy import AccuracySolution as AccuracySolution
@@ -130,7 +131,7 @@ _NAMES = {
         "CamctlError CameraBusyError CameraClosedError CameraDisconnectedError CameraError "
         "CameraNotFoundError CameraProtocolError CameraTimeoutError CaptureError DataError "
         "InterruptedCaptureError OutOfMemoryError RefusedSettingError ResourceError StorageError "
-        "UsageError"
+        "UnreachableExposureError UsageError"
     ),
     "exposure.accuracy": "AccuracySolution solve_accuracy",
     "exposure.evaluation": "Evaluation evaluate",

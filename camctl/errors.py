@@ -9,6 +9,7 @@
     ├── ResourceError               the system refuses a file, a thread or memory
     │   └── OutOfMemoryError        the memory does not suffice; also a MemoryError
     ├── CaptureError                a capture could not be planned or completed
+    │   ├── UnreachableExposureError the camera cannot make what is requested     exit status 2
     │   └── InterruptedCaptureError the user stopped it; its frames are kept      exit status 130,
     │                               after SIGTERM and SIGHUP 143 and 129
     └── CameraError                 the camera, or the connection to it, failed
@@ -95,6 +96,12 @@ class OutOfMemoryError(ResourceError, MemoryError):
 
 class CaptureError(CamctlError):
     """A capture could not be planned or completed."""
+
+
+class UnreachableExposureError(CaptureError):
+    """The request asks for exposures that the camera cannot make, or not in so short a time."""
+
+    exit_status = 2
 
 
 class InterruptedCaptureError(CaptureError):

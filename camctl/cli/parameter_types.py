@@ -326,9 +326,14 @@ class Settings(_ValueType):
     def _read(self, path: str) -> tuple[float, ...]:
         lines = read_input_text(path, "settings file").splitlines()
         texts = [(row, line.partition("#")[0].strip()) for row, line in enumerate(lines, 1)]
-        values = tuple(
-            self._value(text, f"line {row} of settings file {path}") for row, text in texts if text
-        )
+        try:
+            values = tuple(
+                self._value(text, f"line {row} of settings file {path}")
+                for row, text in texts
+                if text
+            )
+        except UsageError as error:
+            raise DataError(error.what, hint=error.hint) from error
         if not values:
             raise DataError(f"settings file {path} is empty", hint="write one value per line")
         return values

@@ -97,7 +97,7 @@ class RealCameraOptions:
             return standard_response(name, self.bits, phase=self.phase, gamma=value)
         if self.curve in STANDARDS:
             return standard_response(self.curve, self.bits, phase=self.phase)
-        raise DataError(
+        raise UsageError(
             f"unknown curve '{self.curve}'",
             hint=f"give an existing file of two columns, or {', '.join(STANDARDS)}, power:GAMMA",
         )

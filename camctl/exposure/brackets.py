@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from camctl.errors import CaptureError
+from camctl.errors import UnreachableExposureError
 from camctl.interface.controls import ExposureControls, ExposureSetting
 
 OFFERED = tuple((count, stops) for stops in (1, 2, 3) for count in (3, 5, 7))
@@ -30,7 +30,7 @@ def near_gain_1(
     for exposure in exposures:
         more = max(1.0, exposure / longest)
         if lowest * more > gain.maximum * (1 + 1e-6):
-            raise CaptureError(
+            raise UnreachableExposureError(
                 f"an exposure of {exposure:.4g} x {base_s:.4g} s is beyond the camera's "
                 "longest time and largest gain",
                 hint="take fewer exposures or a smaller range",

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from camctl.errors import CameraNotFoundError, CameraProtocolError
+from camctl.errors import CameraProtocolError, UsageError
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.backends import BackendOptions, LowerCase
 from camctl.interface.camera import (
@@ -341,7 +341,7 @@ class EffectiveBackend:
     def open(self, address: str, options: Mapping[str, Any]) -> EffectiveCamera:
         """Open the camera at `address`, and meter the scene."""
         if not address:
-            raise CameraNotFoundError("no camera is named", hint=f"name one, such as {DRIVER}:sim")
+            raise UsageError("no camera is named", hint=f"name one, such as {DRIVER}:sim")
         own = {name: options[name] for name in options if name in EffectiveOptions.model_fields}
         chosen = EffectiveOptions.parse(own)
         others = {name: value for name, value in options.items() if name not in own}

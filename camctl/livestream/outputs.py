@@ -9,7 +9,7 @@ from typing import BinaryIO, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.errors import UsageError
+from camctl.errors import StorageError
 from camctl.interface.controls import Layout
 from camctl.livestream.display import Display
 from camctl.livestream.result import LiveResult
@@ -119,7 +119,7 @@ class ExrOutput:
 
     def __init__(self, folder: Path, every: int = 1) -> None:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise UsageError(f"{folder} is not an empty folder", hint="name a new one")
+            raise StorageError(f"{folder} is not an empty folder", hint="name a new one")
         make_folder(folder)
         self._folder, self._every = folder, every
         self._count = 0

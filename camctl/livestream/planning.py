@@ -103,7 +103,7 @@ class LivePlanner:
         try:
             plan = plan_for(self.controls, self._search, light, self._camera.controls)
         except CaptureError as error:
-            raise CaptureError(
+            raise type(error)(
                 f"{error.what}, with {self.fps:g} results a second",
                 hint=error.hint,
                 remedies=error.remedies,

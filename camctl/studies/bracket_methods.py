@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from camctl.errors import CaptureError
+from camctl.errors import CaptureError, UnreachableExposureError
 from camctl.exposure.brackets import bracket as fixed_steps
 from camctl.exposure.brackets import near_gain_1
 from camctl.exposure.build import look_up
@@ -150,7 +150,7 @@ def check_base(controls: ExposureControls, base_s: float) -> None:
     """Raise `CaptureError` where a shortest exposure is beyond the camera's shutter times."""
     times = controls.time_s
     if not times.minimum * 0.99 <= base_s <= times.maximum * 1.01:
-        raise CaptureError(
+        raise UnreachableExposureError(
             f"a shortest exposure of {base_s:.6g} s is beyond the camera's "
             f"{times.minimum:.6g} to {times.maximum:.6g} s"
         )

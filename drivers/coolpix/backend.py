@@ -12,7 +12,7 @@ from camctl.drivers.common.serial_link import SerialLink
 from camctl.drivers.coolpix.camera import CoolpixCamera, CoolpixOptions, identity
 from camctl.drivers.coolpix.sierra.packets import FIRST_SPEED
 from camctl.drivers.coolpix.sierra.session import Sierra
-from camctl.errors import CamctlError, CameraNotFoundError
+from camctl.errors import CamctlError, UsageError
 from camctl.interface.camera import CameraInfo
 from camctl.interface.clock import RealClock
 
@@ -35,7 +35,7 @@ class CoolpixBackend:
     def open(self, address: str, options: Mapping[str, str]) -> CoolpixCamera:
         parsed = CoolpixOptions.parse(options)
         if not address:
-            raise CameraNotFoundError(
+            raise UsageError(
                 "a CoolPix needs its serial port",
                 hint="give it, such as coolpix:/dev/ttyUSB0, or look for it",
                 remedies={"probe_ports": None},

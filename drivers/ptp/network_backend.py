@@ -12,7 +12,7 @@ from camctl.drivers.ptp.camera import PtpCamera, PtpOptions
 from camctl.drivers.ptp.network_link import PORT, Address, Connect, connect_socket
 from camctl.drivers.ptp.network_transport import Caller, NetworkTransport, guid_of_this_computer
 from camctl.drivers.ptp.transport import CAPTURE_S, NORMAL_S, Transport
-from camctl.errors import CameraNotFoundError
+from camctl.errors import UsageError
 from camctl.interface.camera import CameraInfo
 from camctl.interface.clock import Clock
 
@@ -96,7 +96,7 @@ class NetworkBackend:
     def open(self, address: str, options: Mapping[str, Any]) -> NetworkCamera:
         chosen = NetworkOptions.parse(options)
         if not address:
-            raise CameraNotFoundError(
+            raise UsageError(
                 "cameras in the network are found by their addresses only",
                 hint="give the one that the camera shows in its network menu: ptpip:HOST",
             )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from camctl.drivers.v4l2 import abi
 from camctl.drivers.v4l2.kernel import Linux, WritingKernel
-from camctl.errors import UsageError
+from camctl.errors import StorageError
 
 #: V4L2_BUF_TYPE_VIDEO_OUTPUT, V4L2_FIELD_NONE and V4L2_COLORSPACE_SRGB of videodev2.h.
 _OUTPUT, _PROGRESSIVE, _SRGB = 2, 1, 8
@@ -33,7 +33,7 @@ class LoopbackDevice:
         kernel: the system calls, replaced in tests
 
     Raises:
-        UsageError: there is no such device, it is no output, is used by another program, or has
+        StorageError: there is no such device, it is no output, is used by another program, or has
             another size
     """
 
@@ -46,7 +46,7 @@ class LoopbackDevice:
         try:
             self._descriptor: int | None = self._kernel.open(path)
         except OSError as error:
-            raise UsageError(
+            raise StorageError(
                 f"cannot open {path}: {error.strerror}", hint=_hint_for(error)
             ) from error
         try:
@@ -72,15 +72,15 @@ class LoopbackDevice:
         try:
             self._kernel.ioctl(self._descriptor, abi.Request.QUERYCAP, capability)
             if not (capability.capabilities | capability.device_caps) & _CAN_OUTPUT:
-                raise UsageError(f"{self._path} is a camera, and takes no pictures", hint=_HINT)
+                raise StorageError(f"{self._path} is a camera, and takes no pictures", hint=_HINT)
             self._kernel.ioctl(self._descriptor, abi.Request.S_FMT, wanted)
         except OSError as error:
-            raise UsageError(
+            raise StorageError(
                 f"{self._path} takes no pictures: {error.strerror}", hint=_hint_for(error)
             ) from error
         found = int(wanted.width), int(wanted.height), int(wanted.pixelformat)
         if found != (columns, rows, abi.fourcc("YUYV")):
-            raise UsageError(
+            raise StorageError(
                 f"{self._path} is set to {found[0]}x{found[1]} {_name(found[2])}, and the "
                 f"pictures are {columns}x{rows} YUYV",
                 hint="close the program that reads it, or set the camera to that size",
@@ -95,7 +95,7 @@ class LoopbackDevice:
         """Show a picture, (rows, columns) or Y, Cb and Cr of full range (rows, columns, 3).
 
         Raises:
-            UsageError: the device is gone
+            StorageError: the device is gone
         """
         rows, columns = self._shape
         picture = picture[:rows, :columns]
@@ -112,7 +112,7 @@ class LoopbackDevice:
         except BlockingIOError:
             return  # nobody has taken the last one yet
         except OSError as error:
-            raise UsageError(
+            raise StorageError(
                 f"cannot write to {self._path}: {error.strerror}", hint=_hint_for(error)
             ) from error
 

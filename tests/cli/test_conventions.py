@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pathlib
 import subprocess
 import sys
 
@@ -33,6 +34,48 @@ LINES: list[Path] = [
 ]
 HEAVY = {"numpy", "cv2", "pydantic", "rich", "tifffile", "camctl.interface.camera", "menu"}
 """Modules that neither help nor completion may import: they take long."""
+
+
+UNFIT = (
+    "shoot --sensor nix",
+    "shoot --scene nix",
+    "shoot --camera nix",
+    "shoot --camera coolpix",
+    "shoot --camera effective",
+    "shoot --camera opencv",
+    "shoot --camera ptpip",
+    "solve --curve nix",
+    "shoot --gamma 2 --response log",
+    "shoot --accuracy 1e9 -n 2",
+    "shoot --base 1000",
+    "shoot --ratios 1,1e9",
+    "shoot --time-budget 1e-9",
+    "preview --base 1000",
+    "live --output - --fps 1e4",
+    "live --output - --base 1000",
+    "simulate -o x.xyz",
+    "tradeoff capture --plot x.xyz",
+)
+"""Names and values that do not fit, to each other or to the camera."""
+
+UNUSABLE = (
+    "shoot --response bad",
+    "solve --curve bad",
+    "solve --settings bad",
+    "solve --settings nix",
+    "evaluate --ratios 1,2 --response bad",
+    "table build --curve bad",
+    "shoot --set table=bad",
+    "shoot --scene nix.npy",
+    "shoot --sensor nix.json",
+    "merge bad bad",
+    "resume nix",
+    "shoot -o full",
+    "live --output exr:full --count 1",
+    "live --output v4l2:full --count 1",
+    "shoot --camera v4l2:full",
+)
+"""Files, cameras and folders that cannot be used."""
 
 
 def command_at(line: Path) -> click.Command:
@@ -137,6 +180,23 @@ WHOLE_TO_64 = "expected a whole number from 1 to 64"
 A_TIME = "expected a time in seconds such as 0.004 or 1/250"
 NO_PROFILES = "unknown profile 'x': there are no profiles; make one: calibrate a camera"
 RATIOS = "expected numbers from 1e-100 to 1e100, such as 1,2,4"
+
+
+@pytest.mark.parametrize("line", UNFIT)
+def test_names_and_values_that_do_not_fit_have_status_2_in_every_command(
+    run: Run, line: str
+) -> None:
+    assert run(*line.split()).status == 2
+
+
+@pytest.mark.parametrize("line", UNUSABLE)
+def test_files_cameras_and_results_that_cannot_be_used_have_status_1_in_every_command(
+    run: Run, line: str
+) -> None:
+    pathlib.Path("bad").write_text("no numbers\n")
+    pathlib.Path("full").mkdir()
+    pathlib.Path("full/file").touch()
+    assert run(*line.split()).status == 1
 
 
 @pytest.mark.parametrize(

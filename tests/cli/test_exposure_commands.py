@@ -147,7 +147,7 @@ def test_repairs_of_a_curve_are_warnings(run: Run) -> None:
 @pytest.mark.parametrize(
     ("files", "line", "message", "status"),
     [
-        ({}, "--curve nix", "unknown curve 'nix'; give an existing file of two columns", 1),
+        ({}, "--curve nix", "unknown curve 'nix'; give an existing file of two columns", 2),
         ({"c": "1\n2\n"}, "--curve c", "curve c, line 1: expected 2 columns, found 1", 1),
         ({"c": "a b\n"}, "--curve c", "curve c, line 1: 'a b' is not two numb", 1),
         ({"c": "0 0\n1 nan\n"}, "--curve c", "row 2 contains a number that is not finite", 1),
@@ -164,7 +164,7 @@ def test_repairs_of_a_curve_are_warnings(run: Run) -> None:
             {"s": "1\n-2\n"},
             "--settings s",
             "invalid value for line 2 of settings file s: -2; expected a time in seconds",
-            2,
+            1,
         ),
         (
             {"s": "1\n2\n"},

@@ -217,10 +217,10 @@ def test_folder_that_cannot_be_written(folder: Path) -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        "solve --curve x",
+        "solve --settings x",
         *(
             pytest.param(each, marks=SLOW)
-            for each in ("shoot -O size=24x16", "shoot --scene x.hdr", "solve --settings x")
+            for each in ("shoot -O size=24x16", "shoot --scene x.hdr", "solve --response x.txt")
         ),
     ],
 )

@@ -365,8 +365,8 @@ HDR = np.ones((4, 4), dtype=np.float32)
         ("--scene dark.npy", "scene dark.npy: all pixels are 0; a scene needs some light", 1),
         ("--sensor fone", "unknown sensor 'fone'; did you mean phone", 2),
         ("--sensor bad.json", "bad.json: not JSON", 1),
-        ("--base 100", "beyond the camera's", 1),
-        ("--base 10 --ratios 1,1000", "is beyond the camera's controls", 1),
+        ("--base 100", "beyond the camera's", 2),
+        ("--base 10 --ratios 1,1000", "is beyond the camera's controls", 2),
         ("-o dark.npy/x", "cannot write", 1),
     ],
 )

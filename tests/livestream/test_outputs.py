@@ -152,7 +152,7 @@ def test_every_kth_result_is_a_file(tmp_path: Path) -> None:
     channels = file.channels()
     assert np.array_equal(channels["Y"].pixels, some[3].irradiance)
     assert np.array_equal(channels["mask.Y"].pixels, some[3].mask)
-    with pytest.raises(UsageError):
+    with pytest.raises(StorageError):
         ExrOutput(tmp_path / "some")
 
 
@@ -380,11 +380,11 @@ def test_a_webcam_gets_yuyv_of_limited_range_as_opencv_takes_it() -> None:
 
 def test_a_webcam_that_takes_no_pictures_is_one_line() -> None:
     for kernel in (FakeOutput(is_output=False), FakeOutput(fixed=(640, 480))):
-        with pytest.raises(UsageError):
+        with pytest.raises(StorageError):
             LoopbackDevice("/dev/video9", (4, 8), kernel)
         assert not kernel.is_open
     for number in (errno.ENOENT, errno.EBUSY, errno.EACCES):
         kernel = FakeOutput()
         kernel.error = number
-        with pytest.raises(UsageError):
+        with pytest.raises(StorageError):
             LoopbackDevice("/dev/video9", (4, 8), kernel)

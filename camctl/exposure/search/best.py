@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, TypeAlias
 
-from camctl.errors import CaptureError, DataError, UsageError
+from camctl.errors import CaptureError, DataError, UnreachableExposureError, UsageError
 from camctl.exposure.build import look_up
 from camctl.exposure.goal import ACCURACY, AUTO, RANGE_WITHOUT_LIGHT, XI, CaptureRequest
 from camctl.exposure.light import Light
@@ -372,7 +372,7 @@ def within_budget(
         except (CaptureError, UsageError):  # nothing is as short as that
             break
         reduction *= 2
-    raise CaptureError(
+    raise UnreachableExposureError(
         f"no settings of this camera were found that fit into {budget_s:.4g} s",
         hint="allow more time, or take fewer exposures",
     )

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from camctl.errors import CaptureError, DataError, UsageError
+from camctl.errors import DataError, UnreachableExposureError, UsageError
 from camctl.exposure.accuracy import (
     COUNTS,
     TooInaccurateError,
@@ -346,7 +346,7 @@ class Front:
             allowed_s = min(allowed_s - over_s, allowed_s * (1 - 1e-3))
         if fits:
             return rounded
-        raise CaptureError(
+        raise UnreachableExposureError(
             f"no settings of this camera were found that fit into {budget_s:.4g} s",
             hint="allow more time, or take fewer exposures",
         )

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
-from camctl.errors import CaptureError, UsageError
+from camctl.errors import UnreachableExposureError, UsageError
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.grid_search import solve_settings
 from camctl.exposure.objective import ExposureProblem, Objective
@@ -139,7 +139,7 @@ class SettingChooser:
             return limit_s  # as given: what is beyond the camera is refused
         largest_s = self._largest_exposure(self.controls.gain.nearest(1.0))
         if largest_s * (1 + _WARNING_DIFFERENCE) < time.minimum * largest_ratio:
-            raise CaptureError(
+            raise UnreachableExposureError(
                 f"exposures up to 1:{largest_ratio:.6g} are beyond the camera's controls, which "
                 f"reach 1:{largest_s / time.minimum:.6g}",
                 hint="choose a smaller range or fewer exposures",
@@ -186,7 +186,7 @@ class SettingChooser:
             return _nearest_first(settings, base.exposure * ratio)[:_NEIGHBOURS]
         largest = self._largest_exposure(base.gain) / base.time_s
         base_s = time.between(time.minimum, base.time_s * largest / ratio, 1)
-        raise CaptureError(
+        raise UnreachableExposureError(
             f"exposure {ratio:.6g} x {base.time_s:.6g} s is beyond the camera's controls",
             hint=f"the largest possible is {largest:.6g} x; choose a smaller range or fewer "
             "exposures" + (", or this shortest exposure" if base_s else ""),
@@ -271,7 +271,7 @@ def given_base(time: Control, base_s: float) -> float:
     """
     nearest = time.nearest(base_s)
     if not time.minimum * 0.99 <= base_s <= time.maximum * 1.01:
-        raise CaptureError(
+        raise UnreachableExposureError(
             f"a base exposure of {base_s:.6g} s is beyond the camera's "
             f"{time.minimum:.6g} to {time.maximum:.6g} s",
             hint=f"the nearest possible is {nearest:.6g} s",
@@ -370,7 +370,7 @@ def search_choices(
         least_s = base_s = true_s(given_base(controls.time_s, limit_s))
     exposures = sorted(available)
     if count <= len(exposures) and exposures[-count] < least_s * (1 - SAME):
-        raise CaptureError(
+        raise UnreachableExposureError(
             f"a shortest exposure of {base_s:.4g} s leaves fewer than {count} exposures up to "
             f"{exposures[-1]:.4g} s, the longest on this camera",
             hint="take fewer exposures, or this shortest exposure",
