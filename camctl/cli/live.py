@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,7 @@ from camctl.cli.output import (
     print_text,
 )
 from camctl.cli.parameter_types import Number, WholeNumber
-from camctl.cli.request_options import RequestOptions, request_options
+from camctl.cli.request_options import WITH_LIGHT, RequestOptions, request_options
 from camctl.errors import CameraError, UsageError
 
 if TYPE_CHECKING:
@@ -46,6 +47,13 @@ _REQUEST = (
     "compensation_stops",
 )
 _OUTPUTS = "http[:[HOST:]PORT], v4l2:/dev/videoN, - (Y4M), raw:- (16 bits) or exr:FOLDER"
+#: The search by accuracy takes about a second for a range, in which the light changes.
+_RANGE = replace(
+    WITH_LIGHT["dynamic_range"],
+    help="Dynamic range of the picture, brightest over darkest light: 256, 1,000, 16,000, or any "
+    "NUMBER; auto follows the scene among these three, whose exposures are in a table, or with "
+    "--set objective=accuracy among all stops if the camera's noise is known.  [default: auto]",
+)
 #: Results whose latency is stated: of half a minute at 30 a second.
 _RATED = 900
 
@@ -59,7 +67,7 @@ _RATED = 900
     )
 )
 @options.camera_options
-@request_options(*_REQUEST, "settings", has_light=True)
+@request_options(*_REQUEST, "settings", has_light=True, dynamic_range=_RANGE)
 @option(
     "--fps RATE",
     "Results a second at least, which limits the exposures.  [default: 10, or as many as the "

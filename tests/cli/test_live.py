@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 from pathlib import Path
 
 import pytest
@@ -9,6 +11,7 @@ from command_line import Run
 
 from camctl.cli.options import CameraOptions
 from camctl.livestream.result import LiveResult
+from camctl.model.response.names import RANGES
 
 SMALL = ("--scene", "ramp", "-O", "size=64x48", "-O", "time=virtual", "--base", "0.002")
 
@@ -102,3 +105,15 @@ def test_what_was_live_until_ctrl_c_is_stated(run: Run, monkeypatch: pytest.Monk
 def test_only_a_simulated_camera_is_told_to_wait(camera: str, time: str | None) -> None:
     options = CameraOptions(camera, (), None, None)
     assert options.in_real_time().camera_options().get("time") == time
+
+
+def test_the_range_is_one_of_three_or_by_accuracy_any_stop_as_the_help_says(run: Run) -> None:
+    line = "live --scene grey-steps -O size=64x48 --output exr:{} --every 9 --count 1 --json"
+    for objective, is_of_table in (("xi", True), ("accuracy", False)):
+        ran = run(*line.format(objective).split(), "--set", f"objective={objective}")
+        found = json.loads(ran.out)["dynamic_range"]
+        assert (found in RANGES.values()) == is_of_table
+        assert math.log2(found).is_integer() or is_of_table
+    assert "among these three, whose exposures are in a table" in " ".join(
+        run("live", "--help").out.split()
+    )

@@ -139,7 +139,7 @@ class TestOpening:
             CoolpixBackend().open("/dev/no-such-port", options)
 
     def test_the_port_is_required(self) -> None:
-        with pytest.raises(CameraNotFoundError, match="ttyUSB0"):
+        with pytest.raises(UsageError, match="ttyUSB0"):
             CoolpixBackend().open("", {})
 
 
