@@ -136,9 +136,22 @@ def patch_brightness(patches: Patches) -> NDArray[np.float32]:
     return brightness(_patch_squares(patches))
 
 
+def patch_differences(patches: Patches, at: int) -> NDArray[np.float32]:
+    """Return Cb (1) or Cr (2) of patches of red, green and blue, (patches, side, side)."""
+    return differences(_patch_squares(patches), at)
+
+
 def brightness(colours: Iterable[NDArray[Any]]) -> NDArray[np.float32]:
     """Return Y of red, green and blue, in the shape of each."""
     weighted = (each * weight for each, weight in zip(colours, OF_Y, strict=True))
+    return np.asarray(sum(weighted), np.float32)
+
+
+def differences(colours: Iterable[NDArray[Any]], at: int) -> NDArray[np.float32]:
+    """Return Cb (1) or Cr (2) of red, green and blue, in the shape of each."""
+    weighted = (
+        each * np.float32(weight) for each, weight in zip(colours, ENCODED[at], strict=True)
+    )
     return np.asarray(sum(weighted), np.float32)
 
 

@@ -22,9 +22,10 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.evidence.chroma import NOISE_OF_Y, patch_brightness
+from camctl.evidence.chroma import NOISE_OF_Y, brightness, differences, patch_brightness
 from camctl.evidence.patches import SIDE, Patches
 from camctl.interface.layout import BRIGHTNESS_STEPS
+from camctl.model.colour_rounding import DECODED
 
 Floats = NDArray[np.float64]
 
@@ -83,15 +84,16 @@ class LostDetail:
     variance: NDArray[np.float32]
     rounded: NDArray[np.float32]
 
-    def of(self, brightness: NDArray[np.float32]) -> NDArray[np.float32]:
+    def of(self, blocks: NDArray[np.float32], light: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the variance of what blocks lose, levels squared, (blocks,).
 
         Args:
-            brightness: (blocks, 8, 8)
+            blocks: of brightness, or of a difference of colours, (blocks, 8, 8)
+            light: brightness of the same blocks, by which their noise is known
         """
-        found = frequencies(brightness)
+        found = frequencies(blocks)
         kept = np.abs(found, out=found) > (self.steps / 2).astype(np.float32)
-        bins = _noise_bins(brightness)
+        bins = _noise_bins(light)
         classes = np.minimum(_classes(kept), len(self.variance) - 1)
         places = classes * len(self.rounded) + bins
         by_kept = self.more_by_kept.take(places, axis=0)
@@ -114,15 +116,13 @@ class LostDetail:
         quantum = 2.0 ** math.ceil(math.log2(max(most, 1e-30)) - np.finfo(np.float32).nmant)
         return np.asarray(np.rint(values / quantum) * quantum, np.float32)
 
-    def of_picture(self, brightness: NDArray[np.float32]) -> NDArray[np.float32]:
+    def of_picture(
+        self, plane: NDArray[np.float32], light: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
         """Return the same of the blocks of a picture, (rows / 8, columns / 8), both rounded up."""
-        rest = [(0, -length % SIDE) for length in brightness.shape]
-        whole = (
-            np.pad(brightness, rest, mode="edge") if any(each[1] for each in rest) else brightness
-        )
-        rows, columns = (length // SIDE for length in whole.shape)
-        blocks = whole.reshape(rows, SIDE, columns, SIDE).swapaxes(1, 2)
-        return self.of(blocks.reshape(-1, SIDE, SIDE)).reshape(rows, columns)
+        of_light = _blocks_of(light)
+        blocks = of_light if plane is light else _blocks_of(plane)
+        return self.of(blocks, of_light).reshape(-(-plane.shape[0] // SIDE), -1)
 
 
 def stated_steps(details: Iterable[Mapping[str, Any]]) -> Floats | None:
@@ -222,6 +222,23 @@ def lost_details(
     return tuple(_lost_detail(each, steps, own) for each, own in zip(scales, noise, strict=True))
 
 
+def lost_of_colours(colours: NDArray[Any], details: Sequence[LostDetail]) -> NDArray[np.float32]:
+    """Return what a file with all samples of Cb and Cr loses of these, as red, green and blue.
+
+    Args:
+        colours: red, green and blue of a picture, (3, rows, columns)
+        details: what the file loses of Y, Cb and Cr
+
+    Returns:
+        variance of blocks, levels squared, (3, rows / 8, columns / 8), both rounded up
+    """
+    Y = brightness(colours)
+    lost = [
+        detail.of_picture(differences(colours, at), Y) for at, detail in enumerate(details[1:], 1)
+    ]
+    return np.asarray(np.einsum("kc,crb->krb", np.square(DECODED[:, 1:]), lost), np.float32)
+
+
 def frequencies(brightness: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the frequencies of blocks, (blocks, 64)."""
     return np.asarray((brightness - np.float32(128)).reshape(-1, SIDE * SIDE) @ _cosines())
@@ -246,6 +263,14 @@ def _classes(kept: NDArray[np.bool_]) -> NDArray[np.intp]:
     words = kept.view(np.uint64)  # of 8 bytes, each 0 or 1
     counts = np.add.reduce(words, axis=1).view(np.uint8).reshape(len(kept), 8)
     return np.asarray(OCTAVES.take(counts.sum(axis=1, dtype=np.uint8) - kept[:, 0]))
+
+
+def _blocks_of(plane: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the blocks of a plane, (blocks, 8, 8); those at its end have its border beyond."""
+    rest = [(0, -length % SIDE) for length in plane.shape]
+    whole = np.pad(plane, rest, mode="edge") if any(each[1] for each in rest) else plane
+    rows, columns = (length // SIDE for length in whole.shape)
+    return whole.reshape(rows, SIDE, columns, SIDE).swapaxes(1, 2).reshape(-1, SIDE, SIDE)
 
 
 def _noise_bins(brightness: NDArray[np.float32]) -> NDArray[np.intp]:

@@ -8,12 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.evidence.chroma import photon_noise_ratios
-from camctl.evidence.lost_detail import chroma_steps
+from camctl.evidence.chroma import patch_brightness, patch_differences, photon_noise_ratios
+from camctl.evidence.lost_detail import LostDetail, chroma_steps, lost_details
 from camctl.evidence.noise import NoiseFit, fit_noise
 from camctl.evidence.patches import SIDE, Patches
 from camctl.model.block_rounding import BlockRounding
-from camctl.model.colour_rounding import ColourRounding
+from camctl.model.colour_rounding import ENCODED, ColourRounding
+from camctl.model.light import LightTables
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import CameraResponse
 from camctl.model.sensor import SensorModel
@@ -74,6 +75,41 @@ def noise_contrast(
                 square = green.variance(green.light, each) / gap + 1 / 12
             alike[each] = np.asarray(file.cells(square), np.float32)
     return tuple(alike[each] for each in noise)
+
+
+def file_details(
+    green: LightTables,
+    samples: Sequence[Patches],
+    steps: NDArray[np.float64],
+    *,
+    has_all_chroma: bool,
+) -> tuple[tuple[LostDetail, ...], ...]:
+    """Return what the file of each frame loses of its brightness, as samples of colours show it.
+
+    Where it has all samples of colours, what it loses of Cb and of Cr follows.
+
+    Args:
+        green: tables of green, which noise is known from
+        samples: patches of each frame, part by part
+        steps: of the frequencies of brightness, levels
+        has_all_chroma: whether files have as many samples of Cb and Cr as of brightness
+    """
+    noise = []
+    for light, variances, widths in zip(
+        green.irradiance, green.variances, green.steps, strict=True
+    ):
+        bins = green.bins(light)
+        noise.append(np.sqrt(variances.take(bins)) / np.maximum(widths.take(bins), 1e-12))
+    shares = np.sqrt(np.square(ENCODED).sum(axis=1))
+    planes, of_planes = [[patch_brightness(each) for each in samples]], [steps]
+    if has_all_chroma:
+        planes += [[patch_differences(each, at) for each in samples] for at in (1, 2)]
+        of_planes += [chroma_steps(steps)] * 2
+    found = [
+        lost_details(blocks, own, [share * each for each in noise])
+        for blocks, own, share in zip(planes, of_planes, shares, strict=False)
+    ]
+    return tuple(zip(*found, strict=True))
 
 
 def fit_parts(

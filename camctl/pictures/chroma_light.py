@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.chroma import brightness, chroma_variance
-from camctl.evidence.lost_detail import LostDetail
+from camctl.evidence.lost_detail import LostDetail, lost_of_colours
 from camctl.evidence.patches import SIDE
 from camctl.model.joined_frames import REACH, Cells, CellsLight, JoinedFrames, SeenFrame
 from camctl.model.light import Floats32, LightTables, cut_at_zero
@@ -51,8 +51,9 @@ def light_of_colours(
     frames: Sequence[NDArray[Any]],
     estimates: Sequence[Estimate],
     tables: Sequence[LightTables],
-    details: Sequence[LostDetail],
+    details: Sequence[Sequence[LostDetail]],
     noises: Sequence[NDArray[np.float32]],
+    unknown: Sequence[NDArray[np.bool_]],
 ) -> tuple[Floats32, Floats32]:
     """Return the light of samples and its standard deviation, (rows, columns, 3) each.
 
@@ -60,26 +61,32 @@ def light_of_colours(
         frames: the same rows of each, (rows, columns, 3), clipped at white, from a block on
         estimates: the light of red, green and blue as if there were no errors in common
         tables: of these
-        details: what the file of each frame loses besides; empty where this is not known
+        details: what the file of each frame loses of Y, and of Cb and Cr if it has all samples of
+            these; empty where this is not known
         noises: what the noise of each frame shows, see `chroma_variance`
+        unknown: bins of light in which the deviation of each colour is not known, (B,) each
     """
     rows, columns = frames[0].shape[:2]
     if rows & 1 or columns & 1:
         # A file has whole cells, whose other samples are about those at the border.
         rest = (0, rows & 1), (0, columns & 1), (0, 0)
         padded = [np.pad(each, rest, mode="edge") for each in frames]
-        whole = light_of_colours(padded, estimates, tables, details, noises)
+        whole = light_of_colours(padded, estimates, tables, details, noises, unknown)
         return whole[0][:rows, :columns], whole[1][:rows, :columns]
     shape, count = (rows // 2, columns // 2), len(frames)
     compiled = _compiled(rows * columns * count)
     if compiled is not None:
         seen = compiled.in_cells(frames)
-        of_chroma = compiled.chroma_variance(seen.reshape(*seen.shape[:3], *shape), noises)
     else:
         seen = np.empty((len(tables), count, 4, math.prod(shape)), frames[0].dtype)
         for place, frame in enumerate(frames):
             for channel, planes in enumerate(seen):
                 planes[place] = _by_cells(frame[..., channel])
+    if details and len(details[0]) > 1:
+        of_chroma = _of_all_chroma(frames, details, shape)
+    elif compiled is not None:
+        of_chroma = compiled.chroma_variance(seen.reshape(*seen.shape[:3], *shape), noises)
+    else:
         of_chroma = np.stack(
             [
                 chroma_variance(cells.reshape(-1, 4, *shape), noise)
@@ -88,12 +95,13 @@ def light_of_colours(
             axis=1,
         )
     if compiled is not None and details:
-        spreads = compiled.spreads(frames, details, of_chroma)
+        spreads = compiled.spreads(frames, [each[0] for each in details], of_chroma)
     else:
         spreads = of_chroma.copy()
         by_frame = spreads.swapaxes(0, 1)
         for frame, detail, error in zip(frames, details, by_frame, strict=bool(details)):
-            error += _by_block(detail, frame)
+            Y = brightness(np.moveaxis(frame, 2, 0))
+            error += _by_cell(detail[0].of_picture(Y, Y), shape)
         np.sqrt(spreads, out=spreads)
     of_chroma, spreads = (each.reshape(len(tables), count, -1) for each in (of_chroma, spreads))
     limits = tables[0].sensor.highest(None), _VISIBLE, REACH
@@ -102,7 +110,7 @@ def light_of_colours(
     )
     found = np.empty((2, len(tables), rows, columns), np.float32)
     for k, table in enumerate(tables):
-        light, deviation = _first_light(compiled, table, estimates[k], seen[k])
+        light, deviation = _first_light(compiled, table, estimates[k], seen[k], unknown[k])
         small, is_large = _small_errors(compiled, table, spreads[k], light)
         cells = Cells(seen[k], hidden, spreads[k], of_chroma[k], light, deviation, small)
         _replace(compiled, table, cells, beside | is_large, *found[:, k])
@@ -111,7 +119,11 @@ def light_of_colours(
 
 
 def _first_light(
-    compiled: ModuleType | None, tables: LightTables, estimate: Estimate, values: NDArray[Any]
+    compiled: ModuleType | None,
+    tables: LightTables,
+    estimate: Estimate,
+    values: NDArray[Any],
+    unknown: NDArray[np.bool_],
 ) -> tuple[Floats32, Floats32]:
     """Return the light of samples, (n, 4, C), without errors in common, (4, C) each."""
     samples = values.reshape(len(values), -1)
@@ -119,6 +131,8 @@ def _first_light(
         found = estimate(list(samples), samples.sum(axis=0, dtype=np.uint32))
     else:
         *found, special, white = compiled.mean(tables, samples)
+        if unknown.any():
+            found[1][unknown.take(tables.bins(found[0]))] = np.nan
         # What is saturated in each frame has one light.
         for places, asked in ((special, special), (white, white[:1])):
             if asked.size:
@@ -130,11 +144,22 @@ def _first_light(
     return light, deviation
 
 
-def _by_block(detail: LostDetail, frame: NDArray[Any]) -> NDArray[np.float32]:
-    """Return what a file loses of each cell, levels squared, (rows / 2, columns / 2)."""
-    blocks = detail.of_picture(brightness(np.moveaxis(frame, 2, 0)))
+def _of_all_chroma(
+    frames: Sequence[NDArray[Any]], details: Sequence[Sequence[LostDetail]], shape: tuple[int, int]
+) -> NDArray[np.float32]:
+    """Return what files lose of all samples of Cb and Cr, (3, n, rows / 2, columns / 2)."""
+    found = np.empty((3, len(frames), *shape), np.float32)
+    for place, (frame, detail) in enumerate(zip(frames, details, strict=True)):
+        lost = lost_of_colours(np.moveaxis(frame, 2, 0), detail)
+        for of_colour, blocks in zip(found, lost, strict=True):
+            of_colour[place] = _by_cell(blocks, shape)
+    return found
+
+
+def _by_cell(blocks: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Return what blocks have for each of their cells, in a shape of these."""
     cells = blocks.repeat(SIDE // 2, axis=0).repeat(SIDE // 2, axis=1)
-    return cells[: frame.shape[0] // 2, : frame.shape[1] // 2]
+    return cells[: shape[0], : shape[1]]
 
 
 def _replace(

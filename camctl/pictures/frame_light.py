@@ -16,15 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.chroma import (
-    NOISE_OF_Y,
     ROUNDING,
     has_few_chroma_samples,
-    patch_brightness,
     patch_chroma_variance,
 )
-from camctl.evidence.lost_detail import LEVELS, LostDetail, Steps, file_steps, lost_details
+from camctl.evidence.lost_detail import LEVELS, LostDetail, Steps, file_steps
 from camctl.evidence.noise import NoiseFit
-from camctl.evidence.part_noise import file_roundings, fit_parts, noise_contrast
+from camctl.evidence.part_noise import file_details, file_roundings, fit_parts, noise_contrast
 from camctl.evidence.patch_noise import electrons_per_level
 from camctl.evidence.patches import SIDE, Patches
 from camctl.interface.controls import Layout
@@ -139,9 +137,10 @@ class FrameLight:
         noise: of each frame, for each part; empty where it is not known
         white: brightness at which frames are clipped, DN
         unit: irradiance in the result times this is irradiance at exposure 1
-        chroma: what estimates red, green and blue where frames have few samples of the differences
-            of these; empty where that is not so
-        details: what the files of such frames lose besides; empty where this is not known
+        chroma: what estimates red, green and blue where files lose of these; empty where they are
+            not seen to
+        details: what such files lose of Y, and of Cb and Cr if they have all samples of these;
+            empty where this is not known
         contrast: what noise shows in each of these, see `chroma_variance`
         beside: estimates the light in blocks of files that hold saturated samples; None: frames
             are not from such files
@@ -152,7 +151,7 @@ class FrameLight:
     white: int
     unit: float
     chroma: tuple[LightTables, ...] = ()
-    details: tuple[LostDetail, ...] = ()
+    details: tuple[tuple[LostDetail, ...], ...] = ()
     contrast: tuple[NDArray[np.float32], ...] = ()
     beside: Estimate | None = None
 
@@ -171,7 +170,8 @@ class FrameLight:
         clipped = [plane_by_plane(each) for each in self._clipped(frames)]
         if self.chroma:
             firsts = [each.of for each in self._memories]
-            of_files = self.chroma, self.details, self.contrast
+            unknown = [np.isnan(each.deviation) for _, each in self.parts]
+            of_files = self.chroma, self.details, self.contrast, unknown
             irradiance, deviation = light_of_colours(clipped, firsts, *of_files)
         else:
             irradiance, deviation = self._by_sample(clipped, total)
@@ -323,15 +323,20 @@ def frame_light(
     if is_of_colours and (few_chroma_samples or has_few_chroma_samples(samples, highest)):
         least = ROUNDING.tolist()
         plain = np.all([patch_chroma_variance(each) <= NOTABLE for each in samples], axis=0)
-    if is_sum or (plain is None and len(parts) > 1) or black + parts[0].response.M != LEVELS - 1:
+    is_mosaic = len(parts) > 1 and not is_of_colours
+    if is_sum or is_mosaic or black + parts[0].response.M != LEVELS - 1:
         steps = None
     if isinstance(steps, str):
         steps = file_steps(samples, len(parts), stated_steps)
+    has_all_chroma = is_of_colours and plain is None and steps is not None
+    if has_all_chroma:
+        least = ROUNDING.tolist()
     responses = [each.response for each in parts]
-    files = file_roundings(steps, responses, samples, black)
+    files = file_roundings(None if has_all_chroma else steps, responses, samples, black)
     fits: list[NoiseFit | None] = [None] * len(parts)
     if noise is None:
         fits = fit_parts(responses, samples, exposures, gains, black, plain, files)
+    has_common = has_all_chroma or plain is not None
     found, noises = [], []
     alike: dict[FrameSet, Estimator] = {}
     for at, (part, file, fit) in enumerate(zip(parts, files, fits, strict=True)):
@@ -342,7 +347,7 @@ def frame_light(
             estimate = _sum(frames, prior, is_known=is_known)
         else:
             estimate = _likelihood(
-                frames, fit, gains, is_known=is_known, is_independent=plain is None
+                frames, fit, gains, is_known=is_known, is_independent=not has_common
             )
         if fit is None:  # parts of one response and noise share what is found of their samples
             estimate = alike.setdefault(frames, estimate)
@@ -350,8 +355,10 @@ def frame_light(
         if is_known:
             noises.append(frames.noise)
     white = black + parts[0].response.M
-    tables = [each.tables for _, each in found if plain is not None and each.tables is not None]
-    details = _lost_details(tables[1], samples, steps) if tables and steps is not None else ()
+    tables = [each.tables for _, each in found if has_common and each.tables is not None]
+    details: tuple[tuple[LostDetail, ...], ...] = ()
+    if tables and steps is not None:
+        details = file_details(tables[1], samples, steps, has_all_chroma=has_all_chroma)
     known = noises[1] if len(noises) == len(LETTERS) else [None] * len(exposures)
     contrast = noise_contrast(tables[1].sensor, known, files[1]) if tables else ()
     beside = None
@@ -361,21 +368,6 @@ def frame_light(
         beside = _likelihood(edges, None, gains, is_known=True, is_independent=False).estimate
     chroma = tuple(tables), details, contrast
     return FrameLight(tuple(found), tuple(noises), white, unit, *chroma, beside)
-
-
-def _lost_details(
-    green: LightTables, samples: Sequence[Patches], steps: NDArray[np.float64]
-) -> tuple[LostDetail, ...]:
-    """Return what the files of frames lose of their brightness, as samples of colours show it."""
-    noise = []
-    for light, variances, widths in zip(
-        green.irradiance, green.variances, green.steps, strict=True
-    ):
-        bins = green.bins(light)
-        noise.append(
-            NOISE_OF_Y * np.sqrt(variances.take(bins)) / np.maximum(widths.take(bins), 1e-12)
-        )
-    return lost_details([patch_brightness(each) for each in samples], steps, noise)
 
 
 def _frame_set(

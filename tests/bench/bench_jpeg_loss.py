@@ -85,7 +85,7 @@ def detail(pixels: NDArray[np.float32], quality: int) -> str:
     found = 0.0
     if steps is not None:
         (lost,) = lost_details([blocks], steps, [np.full(LEVELS, NOISE_OF_Y * _NOISE)])
-        found = lost.of_picture(Y)[inside].mean()
+        found = lost.of_picture(Y, Y)[inside].mean()
     return f"{math.sqrt(real):.2f} / {math.sqrt(found):.2f}"
 
 

@@ -55,7 +55,7 @@ def test_what_two_files_lose_alike_is_known_from_one(quality: int, noise: float)
     steps = quantisation([frequencies(blocks_of(pixels))])
     assert steps is not None
     (detail,) = lost_details([blocks_of(pixels)], steps, [known])
-    found = detail.of_picture(pixels.astype(np.float32)).ravel()
+    found = detail.of_picture(*[pixels.astype(np.float32)] * 2).ravel()
     for some in (found >= 0, found > np.quantile(found, 0.8)):
         expected, real = (each[some].mean() + noise**2 for each in (found, both))
         assert expected == pytest.approx(real, rel=0.25)
