@@ -60,8 +60,8 @@ class Tables(NamedTuple):
         of_values: (n, white + 1, 4): light, squares of the step and of the noise, and the variance
             of the light from which on a sample may be saturated
         pairs: the same, (n, white + 1), which are copied at once
-        of_bins: by bin of light, (n, B, 2): squares of the noise, and steps
-        clipped: likewise, (n, B)
+        of_bins: by bin of light, (n, B): squares of the noise, below 0 where it clips samples, and
+            steps, which are copied at once
         full: light that just saturates each frame, (n,)
         ends: least and largest light of the bins; most levels of a sample that is not saturated,
             and white; deviations that no sample is off by; variance of offsets, levels squared
@@ -71,8 +71,7 @@ class Tables(NamedTuple):
 
     of_values: Floats32
     pairs: NDArray[np.complex128]
-    of_bins: Floats32
-    clipped: NDArray[np.bool_]
+    of_bins: NDArray[np.complex64]
     full: Floats32
     ends: Floats32
     first: int
@@ -125,20 +124,23 @@ class Lanes(NamedTuple):
     Attributes:
         rows: `AT_ONCE` each
         bins: of light
+        noises, of_light: of them in a frame, see `Tables.of_bins`; and the same as numbers
         shown: of a sample, see `Tables.of_values`, and the same, as `Tables.pairs`
     """
 
     rows: Floats32
     bins: NDArray[np.uint32]
+    noises: NDArray[np.complex64]
+    of_light: Floats32
     shown: Floats32
     pairs: NDArray[np.complex128]
 
     @classmethod
     def new(cls) -> Lanes:
         """Return some of no cells."""
-        pairs = np.zeros(AT_ONCE, np.complex128)
-        rows = np.zeros(_ROWS * AT_ONCE, np.float32)
-        return cls(rows, np.zeros(AT_ONCE, np.uint32), pairs.view(np.float32), pairs)
+        pairs, noises = np.zeros(AT_ONCE, np.complex128), np.zeros(AT_ONCE, np.complex64)
+        rows, bins = np.zeros(_ROWS * AT_ONCE, np.float32), np.zeros(AT_ONCE, np.uint32)
+        return cls(rows, bins, noises, noises.view(np.float32), pairs.view(np.float32), pairs)
 
 
 @_compiled
@@ -190,13 +192,11 @@ def _weigh(
     rows, at, frame = lanes.rows, tables.order[each], np.float32(each)
     full, top, reach, offset = tables.full[at], tables.ends[2], tables.ends[4], tables.ends[5]
     for j in range(count):
-        of_light = lanes.bins[j]
-        noise = tables.of_bins[at, of_light, 0]
-        rows[_NOISE + j] = _BEYOND if tables.clipped[at, of_light] else noise
-        rows[_STEP + j] = tables.of_bins[at, of_light, 1]
+        lanes.noises[j] = tables.of_bins[at, lanes.bins[j]]
     for j in range(count):
-        levels, noise = cells.errors[at, start + j], rows[_NOISE + j]
-        error = levels * rows[_STEP + j]
+        levels, of_light = cells.errors[at, start + j], lanes.of_light[_TWO * j]
+        noise = of_light if of_light > _ZERO else _BEYOND
+        error = levels * lanes.of_light[_TWO * j + _ONCE]
         both = noise + error * error
         counts = (rows[_LAST + j] > frame) & (noise < _BEYOND)
         weight = _ONE / both if counts else _ZERO

@@ -62,6 +62,7 @@ class _Lanes(NamedTuple):
         seen: rows of each frame, (n, 4 x `_SAMPLES`)
         shown: of a sample in each frame, see `Tables.of_values`, (n, 4 x `_SAMPLES`)
         pairs: the same, as `Tables.pairs`
+        noises, of_light: of samples in a frame, see `Tables.of_bins`; and the same as numbers
         levels: of a frame
         bins: of light
         cells: which they are
@@ -72,6 +73,8 @@ class _Lanes(NamedTuple):
     seen: Floats32
     shown: Floats32
     pairs: NDArray[np.complex128]
+    noises: NDArray[np.complex64]
+    of_light: Floats32
     levels: NDArray[np.uint32]
     bins: NDArray[np.uint32]
     cells: NDArray[np.uint64]
@@ -81,12 +84,14 @@ class _Lanes(NamedTuple):
     def new(cls, frames: int) -> _Lanes:
         """Return some of no cells."""
         count = int(_SAMPLES)
-        pairs = np.zeros((frames, count), np.complex128)
+        pairs, noises = np.zeros((frames, count), np.complex128), np.zeros(count, np.complex64)
         return cls(
             np.zeros(_ROWS * count, np.float32),
             np.zeros((frames, 4 * count), np.float32),
             pairs.view(np.float32),
             pairs,
+            noises,
+            noises.view(np.float32),
             np.zeros(count, np.uint32),
             np.zeros(count, np.uint32),
             np.zeros(int(_CELLS), np.uint64),
@@ -106,11 +111,11 @@ def _tables_of(tables: LightTables) -> Tables:
     of_values = np.stack(
         [tables.irradiance, squares, noises, to_saturation], axis=2, dtype=np.float32
     )
+    noise = np.where(tables.clipped, -tables.variances, tables.variances)
     return Tables(
         of_values,
         of_values.view(np.complex128)[..., 0],
-        np.stack([tables.variances, tables.steps], axis=2, dtype=np.float32),
-        tables.clipped,
+        np.stack([noise, tables.steps], axis=2, dtype=np.float32).view(np.complex64)[..., 0],
         (sensor.full / tables.exposures).astype(np.float32),
         np.array(ends, np.float32),
         bins.first,
@@ -217,12 +222,10 @@ def _weigh(tables: Tables, lanes: _Lanes, each: int) -> None:
     rows, seen, shown, at = lanes.rows, lanes.seen[each], lanes.shown[each], tables.order[each]
     reach, top, full = tables.ends[4], tables.ends[2], tables.full[at]
     for i in range(_SAMPLES):
-        of_light = lanes.bins[i]
-        noise = tables.of_bins[at, of_light, 0]
-        rows[_COUNTS + i] = _ZERO if tables.clipped[at, of_light] else _ONE
-        rows[_NOISE + i], rows[_ERROR + i] = noise, tables.of_bins[at, of_light, 1]
+        lanes.noises[i] = tables.of_bins[at, lanes.bins[i]]
     for i in range(_SAMPLES):
-        noise, error = rows[_NOISE + i], seen[_LEVELS + i] * rows[_ERROR + i]
+        of_light = lanes.of_light[_TWO * i]
+        noise, error = abs(of_light), seen[_LEVELS + i] * lanes.of_light[_TWO * i + _ONCE]
         hiding, sample, least = seen[_HIDING + i], shown[_FOUR * i], rows[_LEAST + i]
         both, weights, shared = noise + error * error, rows[_WEIGHTS + i], rows[_SHARED + i]
         is_known, is_saturated = weights > _ZERO, hiding == _SATURATED
@@ -236,11 +239,11 @@ def _weigh(tables: Tables, lanes: _Lanes, each: int) -> None:
         is_off = is_off if is_known else is_saturated
         reached = reach * np.sqrt(both)
         is_off |= ((hiding > _ZERO) | (least > _ZERO)) & (sample + reached < least)
-        counts = (rows[_COUNTS + i] > _ZERO) & (seen[_VALUE + i] <= top) & (not is_off)
+        counts = (of_light > _ZERO) & (seen[_VALUE + i] <= top) & (not is_off)
         rows[_LEAST + i] = max(least, sample - reached) if hiding > _ZERO else least
         rows[_COUNTS + i] = _ONE if counts else _ZERO
         rows[_WEIGHT + i] = _ONE / both if counts else _ZERO
-        rows[_ERROR + i], rows[_BOTH + i] = error, both
+        rows[_NOISE + i], rows[_ERROR + i], rows[_BOTH + i] = noise, error, both
         rows[_MEAN + i], rows[_KNOWN + i], rows[_SPREAD + i] = mean, known, spread
 
 
@@ -294,12 +297,16 @@ def _join(tables: Tables, lanes: _Lanes, last: int, dim: NDArray[np.bool_]) -> N
         _add(lanes, each)
     reach = tables.ends[4]
     for i in range(_SAMPLES):
-        weights, light, narrower = rows[_WEIGHTS + i], rows[_FIRST + i], _ONE
-        if weights > _ZERO:
-            light, spread = rows[_ABOVE + i] / weights, np.sqrt(_ONE / weights)
-            if light < reach * spread:
-                light, narrower = _above_zero(light, spread)
-        rows[_LIGHT + i], rows[_NARROWER + i] = light, narrower
+        weights = rows[_WEIGHTS + i]
+        total = weights if weights > _ZERO else _ONE
+        light, spread = rows[_ABOVE + i] / total, np.sqrt(_ONE / total)
+        rows[_SPREAD + i] = spread if (weights > _ZERO) & (light < reach * spread) else _ZERO
+        rows[_LIGHT + i] = light if weights > _ZERO else rows[_FIRST + i]
+        rows[_NARROWER + i] = _ONE
+    for i in range(_SAMPLES):
+        if rows[_SPREAD + i] > _ZERO:
+            light, narrower = _above_zero(rows[_LIGHT + i], rows[_SPREAD + i])
+            rows[_LIGHT + i], rows[_NARROWER + i] = light, narrower
 
 
 @_compiled
