@@ -41,6 +41,7 @@ def _samples(frames: FrameSet, count: int) -> list[NDArray[Any]]:
         (8, "linear", 0.6, (1.0, 3.3, 13.0, 48.0, 176.0, 683.0)),
         (8, "linear", 1.2, (1.0, 1.0, 20.0)),
         (8, "srgb", 0.9, (1.0, 6.0, 40.0)),
+        (12, "linear", 0.2, (1.0, 8.0, 60.0)),
     ],
 )
 def test_light_is_that_of_numpy(
