@@ -27,6 +27,7 @@ from types import CodeType, FunctionType
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from platformdirs import user_cache_dir
 
 from camctl.errors import DataError, StorageError
@@ -63,7 +64,7 @@ def kind_of(argument: Any) -> Kind:
     if isinstance(argument, np.ndarray):
         flags = argument.flags
         order = "C" if flags.c_contiguous else "F" if flags.f_contiguous else "A"
-        return argument.dtype.str, argument.ndim, order, flags.writeable, flags.aligned
+        return argument.dtype, argument.ndim, order, flags.writeable, flags.aligned
     if isinstance(argument, tuple):
         return type(argument), *map(kind_of, argument)
     if type(argument) is int and not -(2**63) <= argument < 2**63:
@@ -73,7 +74,7 @@ def kind_of(argument: Any) -> Kind:
 
 def _passed(kind: Kind) -> Iterator[tuple[Any, str]]:
     """Yield the types of the numbers as which an argument is passed; `KeyError` if it is none."""
-    if isinstance(kind[0], str):  # owners, samples, bytes of one, place, lengths, steps
+    if isinstance(kind[0], np.dtype):  # owners, samples, bytes of one, place, lengths, steps
         yield from (_POINTER, _POINTER, _NUMBERS[int], _NUMBERS[int], _POINTER)
         yield from [_NUMBERS[int]] * (2 * kind[1])
     elif issubclass(kind[0], tuple):
@@ -87,13 +88,21 @@ def _flattened(arguments: tuple[Any, ...], found: list[Any]) -> list[Any]:
     """Return the numbers as which arguments are passed, added to those that are found."""
     for each in arguments:
         if isinstance(each, np.ndarray):
-            place = each.__array_interface__["data"][0]
+            place = _address(each)
             found += (None, None, each.size, each.itemsize, place, *each.shape, *each.strides)
         elif isinstance(each, tuple):
             _flattened(each, found)
         else:
             found.append(each)
     return found
+
+
+def _address(array: NDArray[Any]) -> int:
+    """Return where the samples of an array are."""
+    try:
+        return ctypes.addressof(ctypes.c_char.from_buffer(array.data))  # in a fifth of the time
+    except (BufferError, TypeError, ValueError):  # it has gaps or no samples, or is not writable
+        return int(array.__array_interface__["data"][0])
 
 
 def _content(function: FunctionType, seen: set[FunctionType]) -> Iterator[Any]:

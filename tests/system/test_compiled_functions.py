@@ -8,6 +8,7 @@ from pathlib import Path
 from textwrap import dedent
 from types import FunctionType
 
+import numpy as np
 import pytest
 
 from camctl.system.machine_code import KeptCode, kind_of
@@ -63,7 +64,9 @@ SCRIPT = """
     unaligned[:] = grid
     wide = np.zeros((4, 6), np.float32)
     wide[:, ::-2] = grid[:, ::-1]
-    for values in (grid[::-1], wide[:, 1::2], unaligned, np.empty((0, 3), np.float32)):
+    fixed = grid.copy()
+    fixed.flags.writeable = False
+    for values in (grid[::-1], wide[:, 1::2], unaligned, fixed, np.empty((0, 3), np.float32)):
         found = np.full(4, -1, np.float32)
         work(Both(values, np.float32(7)), len(values), True, found)
         expected = np.maximum(values[:, 1] * FACTOR + 1, 7)
@@ -122,7 +125,7 @@ def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> KeptCode:
     names: dict[str, FunctionType] = {}
     exec(compile("def work(found): found[0] = 1", tmp_path / "made.py", "exec"), names)
     names["work"].__module__ = "made"
-    found = KeptCode(names["work"], {}, (("<f4", 1, "C", True, True),))
+    found = KeptCode(names["work"], {}, (kind_of(np.zeros(1, np.float32)),))
     found.keep(b"machine code", "work")
     return found
 
@@ -194,7 +197,7 @@ def test_machine_code_of_another_processor_has_another_name(
     names: dict[str, FunctionType] = {}
     exec(compile("def work(found): found[0] = 1", tmp_path / "made.py", "exec"), names)
     names["work"].__module__ = "made"
-    other = KeptCode(names["work"], {}, (("<f4", 1, "C", True, True),))
+    other = KeptCode(names["work"], {}, (kind_of(np.zeros(1, np.float32)),))
     assert other.read() is None
     other.keep(b"other", "work")
     kept.read()
