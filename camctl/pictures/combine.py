@@ -152,14 +152,24 @@ def combine(
     )
     found = _combined(light, pictures, black)
     if method != "sum":
-        # Developed colours have errors at edges, too: they are measured where noise is unknown.
-        shown = known if known or kind is Layout.RGB or not light.noise else light.noise[0]
+        shown = known or _noise_of_all_light(light, kind)
         is_one_wrong = any("colour" in each.details for each in findings)  # its level is the cause
         marked = _contradictions(found.mask, pictures, parts, relative, shown, samples, black)
         findings += () if is_one_wrong else marked
     if (unknown := float(np.isnan(found.sd).mean())) > 0:
         findings.append(Finding(code="noise_unknown", value=unknown))
     return replace(found, findings=tuple(findings))
+
+
+def _noise_of_all_light(light: FrameLight, kind: Layout) -> Sequence[FrameNoise] | None:
+    """Return the noise that was measured in frames; None where it does not predict all samples.
+
+    Developed colours have errors at edges, too: they are measured where noise is unknown.  Noise
+    without that of photons, which all light has, says nothing of brighter light than it shows.
+    """
+    if kind is Layout.RGB or not light.noise:
+        return None
+    return light.noise[0] if math.isfinite(light.noise[0][0].electrons_per_level) else None
 
 
 def _sampled(
