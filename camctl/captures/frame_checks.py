@@ -211,6 +211,17 @@ class FrameChecks:
         """Patches of each frame."""
         return [each.patches for each in self._check.samples(len(self._capture.frames))]
 
+    def samples_outside(self, cells: NDArray[np.bool_], cell: int) -> list[Patches]:
+        """Return the patches of each frame that lie outside of these cells of so many pixels."""
+        rows, columns, side, step = self._places()
+        inside = np.pad(cells.astype(np.intp), ((1, 0), (1, 0))).cumsum(0).cumsum(1)
+        (top, bottom), (left, right) = (
+            (at * step // cell, ((at + side) * step - 1) // cell + 1) for at in (rows, columns)
+        )
+        below, above = (inside[at][:, right] - inside[at][:, left] for at in (bottom, top))
+        kept = (below == above).ravel()
+        return [each[np.tile(kept, len(each) // kept.size)] for each in self.samples]
+
     def pairs(self, exposures: Sequence[float], noise: Sequence[FrameNoise] | None) -> list[Pair]:
         """Return the frames neighbouring in exposure, from the shortest on, to find movement.
 

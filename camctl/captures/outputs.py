@@ -116,7 +116,7 @@ def complete(
     achieved = achieved.model_copy(update={"measured": measured, "gain_over_sum": quality.gain})
     ghosts = None
     if unfinished.request.deghost and movement is not None:
-        lit = (total, light, shot.exposures, checks.samples, controls.black)
+        lit = (total, light, shot.exposures, checks.samples_outside, controls.black)
         ghosts = find_ghosts(movement, store.rows, *lit)
     checks.end()
     return_free_memory()

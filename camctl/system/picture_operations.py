@@ -13,13 +13,15 @@ import zlib
 from collections import deque
 from collections.abc import Sequence
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import DataError, UsageError
 from camctl.system.characters import HEIGHTS, coverage
+
+_Numbers = TypeVar("_Numbers", NDArray[np.uint8], NDArray[np.float32])
 
 #: Width of a character as a multiple of the size of text; OpenCV's own letters are as wide.
 _CHARACTER_WIDTH = 18
@@ -396,10 +398,14 @@ def smoothed(values: Kernel, kernel: Kernel) -> Kernel:
     return correlated(correlated(values, line, repeats_border=True), line.T, repeats_border=True)
 
 
-def dilated(marks: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Return the largest of the values in a box of (rows, columns), both odd, around each pixel."""
+def dilated(marks: _Numbers, size: tuple[int, int]) -> _Numbers:
+    """Return the largest of the values in a box of (rows, columns), both odd, around each pixel.
+
+    Values are uint8 or float32, and not negative.
+    """
     if (cv2 := opencv()) is not None:
-        return np.asarray(cv2.dilate(marks, np.ones(size, np.uint8)), np.uint8)
+        largest: _Numbers = cv2.dilate(marks, np.ones(size, np.uint8))
+        return largest
     for axis, length in enumerate(size):
         padding = [(0, 0), (0, 0)]
         padding[axis] = (length // 2, length // 2)

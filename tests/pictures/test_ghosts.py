@@ -171,6 +171,27 @@ def test_deviation_holds_the_error_of_the_single_frame(
     assert 0 < float(moved.details["single"]) < 0.5
 
 
+def test_what_moved_is_one_of_the_frames_to_its_edges(tmp_path: Path) -> None:
+    """A dark box is elsewhere in each frame; nothing else has its brightness in the last frame."""
+    random = np.random.default_rng(0)
+    box = np.zeros((120, 160), np.bool_)
+    box[31:78, 21:40] = True  # its edges are inside of cells
+    paths, truth = [], []
+    for place, exposure in enumerate((1 / 16, 1 / 4, 1.0)):
+        light = np.where(np.roll(box, 47 * place, axis=1), 0.05, 0.8)[..., np.newaxis] * np.ones(3)
+        level = np.minimum(random.poisson(light * exposure * FULL_E) / FULL_E, 1)
+        paths.append(tmp_path / f"{place}.png")
+        cv2.imwrite(str(paths[-1]), np.rint(255 * srgb(level)).astype(np.uint8))
+        truth.append(np.log(light))
+    options = camctl.PhotographOptions(
+        times=(1 / 16, 1 / 4, 1.0), labels="exact", curve="srgb", align="none"
+    )
+    shown = np.log(camctl.merge(paths, options=options).radiance())
+    still = np.full_like(shown, np.log(0.8))  # without the box, as each place is in two frames
+    error = min((np.abs(shown - each) for each in (*truth, still)), key=np.mean)
+    assert float(error.max()) < 0.15  # the box half seen through made it 1.3, its rim 0.6
+
+
 def test_labels_are_of_the_least_error() -> None:
     # Two halves, each of which one frame shows well; without a seam that costs more than it gains.
     inside = np.zeros((8, 10), np.bool_)

@@ -11,7 +11,7 @@ the least error (Wiener), v m / (m + v): where nothing moves, all frames are bel
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -42,7 +42,7 @@ def find_ghosts(
     total: NDArray[np.unsignedinteger],
     light: FrameLight,
     exposures: Sequence[float],
-    samples: Sequence[Patches],
+    samples: Callable[[Mask, int], Sequence[Patches]],
     black: int,
 ) -> Ghosts | None:
     """Return from which frame each place is where things moved; None where nothing did.
@@ -53,13 +53,15 @@ def find_ghosts(
         total: sum of the frames
         light: what estimates the light from all frames
         exposures: of the frames, relative to the shortest
-        samples: patches of each frame, plane by plane, see `sample_patches`
+        samples: returns the patches of each frame, see `sample_patches`, outside of some cells of a
+            size: what all frames show where things moved says nothing of the light of one
         black: brightness without light, DN
     """
     if not movement.cells.any():
         return None
     cells = _regions(movement.cells)
-    lights = tuple(single_lights(light, exposures, samples, black))
+    at_rest = samples(cells, movement.cell)
+    lights = tuple(single_lights(light, exposures, at_rest, black))
     error, features, certainty = _measured(
         dilated(cells.astype(np.uint8), (3, 3)) > 0,
         movement.cell,
@@ -79,6 +81,9 @@ def find_ghosts(
         inside = numbers[near] == number
         found = least_error_labels(LabelField(inside, error[near], features[near]))
         labels[near][inside] = found[inside]
+    # A pixel at the edge of a thing is between parts that it moved in and others: the former count.
+    for each in certainty:
+        each[...] = dilated(each, (3, 3))
     return Ghosts(labels, movement.cell, certainty, lights)
 
 
