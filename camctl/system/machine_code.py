@@ -270,7 +270,9 @@ def _own_bytes(path: Path) -> bytes:
         DataError: the file cannot be read, or is of somebody else
     """
     with open_input(path, "") as file:
-        if os.fstat(file.fileno()).st_uid not in (0, os.geteuid()):
+        # Windows states no owner.
+        owner = os.fstat(file.fileno()).st_uid
+        if hasattr(os, "geteuid") and owner not in (0, os.geteuid()):
             raise DataError(f"{path} is of another user")
         return file.read(_MOST_BYTES)
 

@@ -190,6 +190,14 @@ def test_machine_code_of_another_user_is_not_run(
     assert not loaded
 
 
+def test_machine_code_is_read_where_the_system_states_no_owner(
+    kept: KeptCode, loaded: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr("camctl.system.machine_code.os.geteuid")
+    kept.read()
+    assert loaded == [b"machine code"]
+
+
 def test_machine_code_of_another_processor_has_another_name(
     kept: KeptCode, loaded: list[bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
