@@ -60,6 +60,7 @@ Mask = NDArray[np.bool_]
 Packed = NDArray[np.uint8]
 """Marks of samples as bits, packed along each row."""
 _Levels = NDArray[np.int16]
+_Places = tuple[NDArray[np.intp], ...]
 
 
 class Marks:
@@ -133,7 +134,7 @@ class Marks:
         first, is_processed = self._pairs[0], self._pairs[0].is_processed
 
         def load(position: int) -> tuple[Lines, Ranges | None]:
-            if not is_processed:
+            if not is_processed or position == first.short.position:  # only of longer frames
                 return Lines.of(self.shape, partial(rows, position), 4 * self._step), None
             frame = rows(position, slice(0, self.shape[0]))
             ranges = local_ranges(frame, first.sensor.white)
@@ -210,10 +211,11 @@ class _FramePair:
         self._nearest = _nearest_outside(limits, *self._tables)
         self._joint: tuple[_Levels, NDArray[np.uint8]] | None = None
         self._compiled = None
-        if self._has_means and dtype == np.uint8 and len(self._tables[0]) == 1:
-            self._joint = self._of_all_codes()
-            if not self.has_spread and ranges is None and len(total.shape) == 2:
+        if self._has_means and dtype == np.uint8:
+            if not self.has_spread:
                 self._compiled = total.compiled
+            if self._compiled is None and len(self._tables[0]) == 1:
+                self._joint = self._of_all_codes()
 
     def mark_part(self, short: Pixels, long: Pixels, area: Area) -> int:
         """Add what contradicts in an area of whole frames; see `mark`."""
@@ -239,6 +241,8 @@ class _FramePair:
         if self._compiled is not None:
             return self._mark_compiled(area, short, long, first, inner)
         comparable = long < self._limits.pair.saturated
+        if not self._limits.pair.is_measured:  # no limits
+            return int(np.count_nonzero(comparable[inner]))
         residuals, found = self._seen(short, long, comparable, first)
         spilled = free = None
         if self._spread.is_any:
@@ -269,9 +273,13 @@ class _FramePair:
         # An integer is above a limit that is none if it is above the integer below it.
         limits = int(total.sigmas * side * _STEPS), math.floor(total.sigmas * _STEPS / side)
         found = self._compiled(short, long, self._table, limits)
-        places = np.unravel_index(found.places, short.shape)
-        found.outside[places] = True
+        if self._ranges is not None:
+            self._limits.leave_out_edges(found.outside, short, long, self._ranges, first)
+        places: _Places = np.unravel_index(found.places, short.shape)
         sizes = np.abs(found.sums) / (side * _STEPS)
+        if self._ranges is not None:
+            places, sizes = self._beyond_edges(places, sizes, long, first)
+        found.outside[places] = True
         self._add_cells(area, first, places, sizes > total.significant)
         _pack(total.marks, found.outside[inner], area)
         return int(np.count_nonzero(long[inner] < self._limits.pair.saturated))
@@ -300,14 +308,16 @@ class _FramePair:
 
     @cached_property
     def _table(self) -> _Levels:
-        """The residual of each two samples, with `OUTSIDE` added where it contradicts."""
+        """By colour: the residual of each two samples, with `OUTSIDE` added if it contradicts."""
         from camctl.model.compiled_residuals import OUTSIDE
 
-        assert self._joint is not None
-        long, short = np.divmod(np.arange(1 << 16), 256)
-        both = _joined(short.astype(np.uint8), long.astype(np.uint8))
-        residuals, outside = (table.take(both) for table in self._joint)
-        return np.asarray(residuals + np.int16(OUTSIDE) * outside, np.int16)
+        colours = self._total.shape[2:]
+        long = np.arange(256, dtype=np.uint8).repeat(256 * math.prod(colours))
+        long = long.reshape(256, 256, *colours)
+        short = np.ascontiguousarray(long.swapaxes(0, 1))
+        residuals = self._residuals(short, long, long < self._limits.pair.saturated)
+        residuals += np.int16(OUTSIDE) * self._limits.outside(short, long)
+        return np.ascontiguousarray(residuals.reshape(1 << 16, -1).T)
 
     def _seen(
         self, short: Pixels, long: Pixels, comparable: Mask, first: tuple[int, int]
@@ -342,7 +352,7 @@ class _FramePair:
 
     def _contradicting_means(
         self, residuals: _Levels, long: Pixels, first: tuple[int, int]
-    ) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.float64]]:
+    ) -> tuple[_Places, NDArray[np.float64]]:
         """Return the places of samples whose mean contradicts, and the size of its residual.
 
         Args:
@@ -350,7 +360,7 @@ class _FramePair:
             long: the same part of the longer frame
             first: row and column where the part begins
         """
-        side, pair = 2 * MEAN_RADIUS + 1, self._limits.pair
+        side = 2 * MEAN_RADIUS + 1
         sums = box_sums(residuals, MEAN_RADIUS)
         limit = int(self._total.sigmas * side * _STEPS)
         contradict = _beyond(sums, -limit, limit)
@@ -363,15 +373,23 @@ class _FramePair:
         places = tuple(each[used] for each in places)
         sizes = np.abs(sums[places]) / (side * _STEPS)
         if self._ranges is not None:
-            white, tables = pair.sensor.white, pair.tables
-            after = places[2], np.minimum(long[places], white)
-            around = ranges_at(self._ranges, places, first)
-            edges = side * edge_levels(around, white) * pair.sensor.step(tables.mean[after])
-            square = tables.square[after]
-            sizes *= square / np.hypot(square, edges)
-            used = sizes > self._total.sigmas
-            places, sizes = tuple(each[used] for each in places), sizes[used]
+            return self._beyond_edges(places, sizes, long, first)
         return places, sizes
+
+    def _beyond_edges(
+        self, places: _Places, sizes: NDArray[np.float64], long: Pixels, first: tuple[int, int]
+    ) -> tuple[_Places, NDArray[np.float64]]:
+        """Return the same of the means that errors of photographs at edges leave."""
+        assert self._ranges is not None
+        pair = self._limits.pair
+        white, tables = pair.sensor.white, pair.tables
+        after = places[2], np.minimum(long[places], white)
+        levels = edge_levels(ranges_at(self._ranges, places, first), white)
+        edges = (2 * MEAN_RADIUS + 1) * levels * pair.sensor.step(tables.mean[after])
+        square = tables.square[after]
+        sizes = sizes * (square / np.hypot(square, edges))
+        used = sizes > self._total.sigmas
+        return tuple(each[used] for each in places), sizes[used]
 
     def _residuals(self, short: Pixels, long: Pixels, comparable: Mask) -> _Levels:
         """Return the normalised residual of each sample, in `_STEPS` of a standard deviation.
@@ -391,7 +409,7 @@ class _FramePair:
         self,
         area: Area,
         first: tuple[int, int],
-        places: tuple[NDArray[np.intp], ...],
+        places: _Places,
         chosen: Mask,
     ) -> None:
         """Set the cells of the chosen places that are in an area."""

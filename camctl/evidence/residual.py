@@ -220,13 +220,24 @@ class Limits:
             every: distance of their rows and of their columns in it
         """
         found = outside_limits(self.low, self.high, short, long)
-        if ranges is None:
-            return found
+        if ranges is not None:
+            self.leave_out_edges(found, short, long, ranges, first, every)
+        return found
+
+    def leave_out_edges(
+        self,
+        found: NDArray[np.bool_],
+        short: Pixels,
+        long: Pixels,
+        ranges: Ranges,
+        first: tuple[int, int],
+        every: tuple[int, int] = (1, 1),
+    ) -> None:
+        """Leave out of `found`, samples outside limits, those that errors at edges explain."""
         places = np.unravel_index(np.flatnonzero(found), found.shape)
         if places[0].size:
             around = ranges_at(ranges, places, first, every)
             found[places] = self._outside_edges(places, short[places], long[places], around)
-        return found
 
     def outside_at(
         self,

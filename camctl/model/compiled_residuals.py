@@ -28,8 +28,8 @@ class Found(NamedTuple):
     """What is found of an area.
 
     Attributes:
-        outside: which samples contradict each other, (rows, columns)
-        places: of means beyond the limit, in the order of the rows
+        outside: which samples contradict each other, in the shape of the area
+        places: of means beyond the limit, in the order of the samples
         sums: of residuals, at those places
         number: of the places
     """
@@ -60,12 +60,16 @@ def _compare(
     """See `compare`; `limits` are those of a sum, and of `SIDE` times its own residual."""
     height, width = np.uint64(short.shape[0]), np.uint64(short.shape[1])
     rows, columns, sums, sides = work.rows, work.columns, work.sums, np.uint64(SIDE)
+    colours = np.uint64(len(table))
+    two, three, four = _AROUND * colours, np.uint64(3) * colours, np.uint64(4) * colours
     beyond = _ZERO
     for y in range(height + _AROUND):
         row = y % sides
         if y < height:
-            for x in range(width):
-                rows[row, x] = table[np.uint64(short[y, x]) | np.uint64(long[y, x]) << _BITS]
+            for k in range(colours):
+                for x in range(k, width, colours):
+                    both = np.uint64(short[y, x]) | np.uint64(long[y, x]) << _BITS
+                    rows[row, x] = table[k, both]
             for x in range(width):
                 is_outside = rows[row, x] > _HALF
                 found.outside[y, x] = is_outside
@@ -77,11 +81,11 @@ def _compare(
             continue
         for x in range(width):
             some = rows[0, x] + rows[1, x] + rows[2, x] + rows[3, x] + rows[4, x]
-            columns[x + _AROUND] = some
+            columns[x + two] = some
         most = _NONE
         for x in range(width):
-            c = columns[x] + columns[x + _ONE] + columns[x + np.uint64(2)]
-            sums[x] = c + columns[x + np.uint64(3)] + columns[x + np.uint64(4)]
+            c = columns[x] + columns[x + colours] + columns[x + two]
+            sums[x] = c + columns[x + three] + columns[x + four]
         for x in range(width):
             most = max(most, max(sums[x], np.int16(-sums[x])))
         if most <= limits[0]:
@@ -106,22 +110,29 @@ def compare(
     """Return what two frames say of an area.
 
     Args:
-        short: samples of a frame, (rows, columns); residuals outside of it are 0
+        short: samples of a frame, (rows, columns) or (rows, columns, colours); residuals outside of
+            it are 0
         long: of another one
-        table: residual by the sample of the first, plus 256 times that of the second
+        table: of each colour: residual by the sample of the first, plus 256 times that of the
+            second
         limits: a sum over a square is beyond it if it is larger than the first, on either side, and
             the residual in its middle larger than the second on the same side
     """
-    width = short.shape[1]
+    rows = short.reshape(len(short), -1), long.reshape(len(long), -1)
+    width = rows[0].shape[1]
     found = Found(
-        np.empty(short.shape, np.bool_),
+        np.empty(rows[0].shape, np.bool_),
         np.empty(short.size, np.uint32),
         np.empty(short.size, np.int16),
         np.empty(1, np.int64),
     )
-    zeros = (np.zeros(shape, np.int16) for shape in ((SIDE, width), width + SIDE - 1, width))
-    work = _Work(*zeros)
+    padded = width + (SIDE - 1) * len(table)
+    work = _Work(*(np.zeros(shape, np.int16) for shape in ((SIDE, width), padded, width)))
     both = np.array(limits, np.int16)
-    _compare(short, long, table, both, work, found)
+    _compare(*rows, table, both, work, found)
     count = int(found.number[0])
-    return found._replace(places=found.places[:count], sums=found.sums[:count])
+    return found._replace(
+        outside=found.outside.reshape(short.shape),
+        places=found.places[:count],
+        sums=found.sums[:count],
+    )

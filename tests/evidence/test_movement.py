@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -376,11 +378,8 @@ def test_dark_things_are_found_whatever_the_fraction_of_the_black_level_is(black
     assert marks.mean() < FALSE_ALARMS
 
 
-def test_compiled_code_finds_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In areas within the picture and at its edges, with samples that saturate, and means."""
-    pytest.importorskip("numba")
-    monkeypatch.setattr(marks, "STRIP_SAMPLES", 1 << 14)
-    monkeypatch.setattr(marks, "_AREA_SAMPLES", 1 << 12)
+def moved_in_mono() -> Movement | None:
+    """Return what moved in frames with samples that saturate."""
     rng, light = np.random.default_rng(5), np.linspace(0.01, 0.4, 230) * np.ones((150, 1))
     moved = light.copy()
     moved[40:60, 30:70] *= 1.5
@@ -389,11 +388,37 @@ def test_compiled_code_finds_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     for exposure, each in ((1.0, light), (3.0, moved)):
         levels = rng.poisson(each * exposure * 23900) / 100 + rng.normal(0, 0.8, each.shape)
         frames.append(np.clip(np.rint(levels + 16), 0, 255).astype(np.uint8))
-    pair, results = pair_of(frames, (1.0, 3.0), FrameNoise(100.0, 0.8)), []
-    for least in (1 << 60, 0):
-        monkeypatch.setattr(marks, "SAMPLES_WORTH_LOADING", least)
-        results.append(find_movement(rows_of(frames), frames[0].shape, [pair]))
-    numpy, compiled = results
+    pair = pair_of(frames, (1.0, 3.0), FrameNoise(100.0, 0.8))
+    return find_movement(rows_of(frames), frames[0].shape, [pair])
+
+
+def moved_in_photographs() -> Movement | None:
+    """Return what moved in photographs with edges, of which the longest one saturates."""
+    exposures = (1.0, 2.0, 8.0)
+    lights = window(exposures)
+    lights[1][430:, 30:70] *= 1.4
+    lights[1][200:230, 300:340, 2] *= 0.7
+    frames = [compressed(np.clip(E, 0, 1.001)[:470, :637], 92) for E in lights]
+    return movement_of(frames, exposures)
+
+
+@pytest.mark.parametrize("found", [moved_in_mono, moved_in_photographs])
+def test_compiled_code_finds_the_same(
+    found: Callable[[], Movement | None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In areas within the picture and at its edges, with samples that saturate, and means."""
+    pytest.importorskip("numba")
+    from camctl.model import compiled_residuals
+
+    monkeypatch.setattr(marks, "STRIP_SAMPLES", 1 << 14)
+    monkeypatch.setattr(marks, "_AREA_SAMPLES", 1 << 12)
+    monkeypatch.setattr(marks, "SAMPLES_WORTH_LOADING", 1 << 60)
+    numpy = found()
+    monkeypatch.setattr(marks, "SAMPLES_WORTH_LOADING", 0)
+    compared = Mock(wraps=compiled_residuals.compare)
+    monkeypatch.setattr(compiled_residuals, "compare", compared)
+    compiled = found()
+    compared.assert_called()
     assert numpy is not None
     assert compiled is not None
     assert numpy.found.places
