@@ -326,7 +326,7 @@ def test_an_invalid_guid_is_a_usage_error() -> None:
 
 
 def test_without_an_address_the_error_says_how_to_give_one() -> None:
-    with pytest.raises(CameraNotFoundError, match="ptpip:HOST"):
+    with pytest.raises(UsageError, match="ptpip:HOST"):
         camctl.open_camera("ptpip")
 
 
