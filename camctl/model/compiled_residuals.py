@@ -67,9 +67,10 @@ def _compare(
         row = y % sides
         if y < height:
             for k in range(colours):
-                for x in range(k, width, colours):
-                    both = np.uint64(short[y, x]) | np.uint64(long[y, x]) << _BITS
-                    rows[row, x] = table[k, both]
+                for j in range(width // colours):
+                    i = j * colours + k
+                    both = np.uint64(short[y, i]) | np.uint64(long[y, i]) << _BITS
+                    rows[row, i] = table[k, both]
             for x in range(width):
                 is_outside = rows[row, x] > _HALF
                 found.outside[y, x] = is_outside
