@@ -59,7 +59,7 @@ STREAMS = [
     (" ".join(SHOOT), ">/dev/full", 1, "cannot write to standard output: no space left on device"),
     ("solve -n 99", ">&-", 2, "invalid value for --exposures: 99"),
     ("solve -n 99 --json", ">/dev/full", 2, "invalid value for --exposures: 99"),
-    ("solve -n 1 --curve no", "2>&-", 1, ""),
+    ("solve -n 1 --curve no", "2>&-", 2, ""),
     ("solve -n 99", "2>&-", 2, ""),
     ("solve -n 99", "2>/dev/full", 2, ""),
     ("solve -n 99", ">&- 2>&-", 2, ""),

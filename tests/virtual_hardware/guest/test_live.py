@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 import camctl
 from camctl.cli import main
 from camctl.drivers.v4l2.loopback import LoopbackDevice
-from camctl.errors import UsageError
+from camctl.errors import StorageError
 from camctl.interface.cycle import CyclingCamera
 
 NODE, SHAPE = Path("/dev/video40"), (48, 64)
@@ -147,11 +147,11 @@ def test_a_device_that_takes_no_pictures_is_one_line(
         (camera, "is a camera, and takes no pictures"),
         (Path("/dev/null"), "takes no pictures"),
     ):
-        with pytest.raises(UsageError, match=shown) as caught:
+        with pytest.raises(StorageError, match=shown) as caught:
             LoopbackDevice(str(path), SHAPE)
         assert "\n" not in str(caught.value)
     with written(loopback, np.zeros(SHAPE, np.uint8)):
-        with pytest.raises(UsageError) as caught:
+        with pytest.raises(StorageError) as caught:
             LoopbackDevice(str(loopback), (24, 32))
         assert "\n" not in str(caught.value)
 
