@@ -143,16 +143,17 @@ def patch_differences(patches: Patches, at: int) -> NDArray[np.float32]:
 
 def brightness(colours: Iterable[NDArray[Any]]) -> NDArray[np.float32]:
     """Return Y of red, green and blue, in the shape of each."""
-    weighted = (each * weight for each, weight in zip(colours, OF_Y, strict=True))
-    return np.asarray(sum(weighted), np.float32)
+    return _weighted(colours, OF_Y)
 
 
 def differences(colours: Iterable[NDArray[Any]], at: int) -> NDArray[np.float32]:
     """Return Cb (1) or Cr (2) of red, green and blue, in the shape of each."""
-    weighted = (
-        each * np.float32(weight) for each, weight in zip(colours, ENCODED[at], strict=True)
-    )
-    return np.asarray(sum(weighted), np.float32)
+    return _weighted(colours, ENCODED[at].astype(np.float32))
+
+
+def _weighted(colours: Iterable[NDArray[Any]], weights: NDArray[np.float32]) -> NDArray[np.float32]:
+    parts = (each * weight for each, weight in zip(colours, weights, strict=True))
+    return np.asarray(sum(parts), np.float32)
 
 
 NOISE_OF_Y = float(np.sqrt(np.square(OF_Y).sum()))

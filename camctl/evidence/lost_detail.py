@@ -239,6 +239,12 @@ def lost_of_colours(colours: NDArray[Any], details: Sequence[LostDetail]) -> NDA
     return np.asarray(np.einsum("kc,crb->krb", np.square(DECODED[:, 1:]), lost), np.float32)
 
 
+def for_cells(blocks: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Return what blocks have for each of their cells of 2 x 2 samples, in a shape of these."""
+    cells = blocks.repeat(SIDE // 2, axis=0).repeat(SIDE // 2, axis=1)
+    return cells[: shape[0], : shape[1]]
+
+
 def frequencies(brightness: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the frequencies of blocks, (blocks, 64)."""
     return np.asarray((brightness - np.float32(128)).reshape(-1, SIDE * SIDE) @ _cosines())

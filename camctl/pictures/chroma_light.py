@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.chroma import brightness, chroma_variance
-from camctl.evidence.lost_detail import LostDetail, lost_of_colours
-from camctl.evidence.patches import SIDE
+from camctl.evidence.lost_detail import LostDetail, for_cells, lost_of_colours
 from camctl.model.joined_frames import REACH, Cells, CellsLight, JoinedFrames, SeenFrame
 from camctl.model.light import Floats32, LightTables, cut_at_zero
 from camctl.model.light_memory import Estimate
@@ -101,7 +100,7 @@ def light_of_colours(
         by_frame = spreads.swapaxes(0, 1)
         for frame, detail, error in zip(frames, details, by_frame, strict=bool(details)):
             Y = brightness(np.moveaxis(frame, 2, 0))
-            error += _by_cell(detail[0].of_picture(Y, Y), shape)
+            error += for_cells(detail[0].of_picture(Y, Y), shape)
         np.sqrt(spreads, out=spreads)
     of_chroma, spreads = (each.reshape(len(tables), count, -1) for each in (of_chroma, spreads))
     limits = tables[0].sensor.highest(None), _VISIBLE, REACH
@@ -152,14 +151,8 @@ def _of_all_chroma(
     for place, (frame, detail) in enumerate(zip(frames, details, strict=True)):
         lost = lost_of_colours(np.moveaxis(frame, 2, 0), detail)
         for of_colour, blocks in zip(found, lost, strict=True):
-            of_colour[place] = _by_cell(blocks, shape)
+            of_colour[place] = for_cells(blocks, shape)
     return found
-
-
-def _by_cell(blocks: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Return what blocks have for each of their cells, in a shape of these."""
-    cells = blocks.repeat(SIDE // 2, axis=0).repeat(SIDE // 2, axis=1)
-    return cells[: shape[0], : shape[1]]
 
 
 def _replace(

@@ -92,7 +92,7 @@ class JoinedFunction:
         import numba
 
         made = numba.njit(**_JOINED, **_BARE)(self._with_numba())
-        # It has nothing to compile where numba is told to do nothing.
+        # `made` is the function itself where numba is disabled (NUMBA_DISABLE_JIT).
         if kept is not None and hasattr(made, "compile") and _is_called_as_expected():
             text, symbol = _assembly(made, arguments)
             code = machine_code(text, symbol, kinds) if symbol else None
