@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -97,7 +98,7 @@ class LibcameraCamera(PreviewedCamera):
         library = picamera2()
         number, self._info = _find(self._address)
         with _worded(self._name):
-            camera = library(number)
+            camera = _made(library, number)
             resources.callback(camera.close)
             mode = _choose_mode(camera, self._options, self._name)
             self._format = _configured(camera, mode, self._options, self._name)
@@ -267,6 +268,20 @@ def _find(address: str) -> tuple[int, CameraInfo]:
         if found
         else "check the ribbon cable, and the system's log",
     )
+
+
+def _made(library: Any, number: int) -> Any:
+    """Return a new `Picamera2`, which would leave its pipe open where it cannot open the camera."""
+    camera = library.__new__(library)
+    try:
+        camera.__init__(number)
+    except BaseException:
+        reader = getattr(camera, "notifymeread", None)  # None: there was no pipe to be had
+        if reader is not None and not reader.closed:
+            reader.close()
+            os.close(camera.notifyme_w)
+        raise
+    return camera
 
 
 def _choose_mode(camera: Any, options: LibcameraOptions, name: str) -> Mapping[str, Any]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,11 +35,10 @@ from camctl.testing.conformance import CameraConformance
 needs_picamera2 = pytest.mark.skipif(
     find_spec("picamera2") is None, reason="picamera2 is not installed"
 )
-# picamera2 uses an old name of threading, and closes what it could not open.
+# picamera2 uses an old name of threading.
 pytestmark = [
     pytest.mark.serial,
     pytest.mark.filterwarnings("ignore:.*setDaemon:DeprecationWarning"),
-    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
 ]
 Opened = Callable[..., LibcameraCamera]
 
@@ -257,6 +257,21 @@ def test_addresses() -> None:
                 LibcameraCamera("0", clock=board).open()
     with pytest.raises(CameraNotFoundError):
         LibcameraCamera("1", clock=board).open()
+
+
+@needs_picamera2
+def test_a_camera_that_cannot_be_opened_leaves_no_pipe_open(opened: Opened) -> None:
+    board = FakePi()
+    opened(board)
+
+    def pipes() -> set[str]:
+        files = [each for each in Path("/proc/self/fd").iterdir() if each.is_symlink()]
+        return {place for each in files if (place := str(each.readlink())).startswith("pipe:")}
+
+    before = pipes()
+    with pytest.raises(CameraBusyError):
+        LibcameraCamera("0", clock=board).open()
+    assert pipes() == before
 
 
 def test_without_picamera2_there_are_no_cameras(monkeypatch: pytest.MonkeyPatch) -> None:
