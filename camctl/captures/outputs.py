@@ -300,7 +300,7 @@ def _details(
         moved=None if movement is None else movement.found.share,
         spread=0.0 if movement is None else movement.found.spread,
         colour=controls.colour,
-        quarter_turns=shot.frames[0].quarter_turns,
+        orientation=shot.frames[0].orientation,
     )
 
 
@@ -313,10 +313,10 @@ def _taken(frames: Sequence[StoredFrame]) -> list[datetime]:
 def _shown(shot: _Shot, checks: FrameChecks, controls: ExposureControls) -> tuple[ShownFrame, ...]:
     """Return what contact.png shows of the frames, in ascending exposure."""
     first, last = controls.levels.levels[[0, -1]].tolist()
-    turns = shot.frames[0].quarter_turns
+    lies = shot.frames[0].orientation
     shown = [
         ShownFrame(
-            np.rot90(checks.thumbnails[place], turns),
+            lies.upright(checks.thumbnails[place]),
             frame.applied,
             frame.saturated_fraction,
             first / exposure / shot.full_scale_exposure,

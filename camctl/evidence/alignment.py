@@ -94,6 +94,12 @@ def brightness_matched(short: _Floats, long: _Floats) -> tuple[_Floats, _Mask]:
     return looked_up(low.astype(np.float32), indices[1]), long < 1 - JPEG_ERROR
 
 
+def misfit(short: _Floats, long: _Floats) -> float:
+    """Return the variance of a grey copy that a longer exposure does not explain; NaN: none can."""
+    matched, usable = brightness_matched(short, long)
+    return float(np.mean(np.square(short - matched)[usable])) if usable.any() else math.nan
+
+
 def _rising(ranks: _Vector, values: _Vector) -> tuple[_Vector, _Vector]:
     kept = np.concatenate(([True], np.diff(ranks) > 0))
     return ranks[kept], values[kept]

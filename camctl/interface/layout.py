@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from typing import Any, TypeAlias
 
@@ -18,11 +18,6 @@ brightness, as JPEG files of 4:2:0 and 4:2:2 do."""
 BRIGHTNESS_STEPS = "brightness_steps"
 """Detail of frames from JPEG files: what the 64 frequencies of brightness of a block are multiples
 of, row by row, levels."""
-
-QUARTER_TURNS = "quarter_turns"
-"""Detail of frames whose files state that the camera was turned: by how many quarter turns they
-must be turned anticlockwise to be upright, 1 to 3.  The pixels are as the sensor has them, since a
-camera that looks down may state any turn from frame to frame."""
 
 
 class Layout(StrEnum):
@@ -40,18 +35,18 @@ class Layout(StrEnum):
         """Whether each pixel has one colour of a 2 x 2 Bayer pattern, named row by row."""
         return self not in (Layout.MONO, Layout.RGB)
 
-    def turned(self, shape: Sequence[int], turns: int) -> Layout:
-        """Return the layout of a frame after quarter turns anticlockwise.
+    def turned(self, shape: Sequence[int], turn: Callable[[NDArray[Any]], NDArray[Any]]) -> Layout:
+        """Return the layout of a frame that is turned or mirrored.
 
         Args:
             shape: of the frame before
-            turns: number of them, in the way of `numpy.rot90`
+            turn: returns an array (rows, columns) turned
         """
         if not self.is_mosaic:
             return self
         rows, columns = (np.arange(2 + length % 2) % 2 for length in shape[:2])
         cells = np.array(list(self)).reshape(2, 2)[rows[:, np.newaxis], columns]
-        return Layout("".join(np.rot90(cells, turns)[:2, :2].ravel()))
+        return Layout("".join(turn(cells)[:2, :2].ravel()))
 
     def planes(self, pixels: NDArray[Any]) -> list[NDArray[Any]]:
         """Return views of a frame, one for each colour (the two greens of a mosaic apart)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -12,11 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import DataError, visible
+from camctl.evidence.alignment import misfit
 from camctl.findings import Detail, Finding
 from camctl.interface.camera import CameraInfo, Pixels
 from camctl.interface.colour import BT709, CameraColour
 from camctl.interface.controls import Layout
+from camctl.interface.orientation import UPRIGHT, Orientation
 from camctl.model.effective import check_ratio
+from camctl.photographs.alignment import grey_copy
 from camctl.photographs.camera import Photograph
 from camctl.photographs.moves import Move, overlap
 from camctl.profiles.exposures import mode_name
@@ -30,6 +34,9 @@ _KEPT_BYTES = 512 << 20
 _EXR = ".exr"
 #: Code of full scale of an OpenEXR file.
 _FULL_EXR = 65535
+#: Longest side of the grey copies that show how a photograph lies, pixels: they have little noise,
+#: and the hand displaces them by little.
+_SIDE = 64
 
 
 def _photograph(
@@ -55,14 +62,13 @@ class Format:
     black: int
     white: int
     is_raw: bool
-    quarter_turns: int = 0
+    orientation: Orientation = UPRIGHT
     colour: CameraColour | None = None
 
     def mode(self, white: int) -> str:
         """Return the name of the camera's mode, of photographs that are not turned upright."""
-        rows, columns, *rest = self.shape
-        shape = (columns, rows, *rest) if self.quarter_turns % 2 else self.shape
-        return mode_name(self.layout.turned(self.shape, -self.quarter_turns), shape, white)
+        lying = self.orientation.lying(np.empty(self.shape, np.bool_))
+        return mode_name(self.layout.turned(self.shape, self.orientation.lying), lying.shape, white)
 
 
 class PhotographFiles:
@@ -95,7 +101,7 @@ class PhotographFiles:
         self.photographs: list[Photograph] = []
         found: Format | None = None
         self.notes: list[Finding] = []
-        self._quarter_turns: int | None = None
+        self._orientations: dict[int, Orientation] = {}
         self.taken_by = ("", "", "")
         cameras: dict[str, str] = {}
         for position, path in enumerate(self._paths):
@@ -148,6 +154,11 @@ class PhotographFiles:
         return move.applied(marks, self.format.layout, 1) > 0
 
     @property
+    def are_upright(self) -> bool:
+        """Whether the pixels of all are as their files have them."""
+        return all(each.is_upright for each in self._orientations.values())
+
+    @property
     def moved(self) -> tuple[int, ...]:
         """Positions of the files that are moved."""
         return tuple(self._moves)
@@ -174,20 +185,17 @@ class PhotographFiles:
         still, stated = read_photograph(path)
         photograph = _photograph(path, still, stated, time_s)
         is_raw = still.layout.is_mosaic or still.black > 0
-        turns = self._turns(position, stated.quarter_turns)
+        lies = self._orientation(position, still, photograph, stated.orientation)
         known = [each.details.get("what") for each in self.notes]
         for what in () if is_raw else still.notes:
             if what not in known:
                 self._note("damaged", position, what=what)
-        pixels: Pixels = still.pixels
         if still.invalid is not None:
-            self._invalid[position] = np.rot90(still.invalid, turns)
-        if turns:
-            turned: Any = np.rot90(pixels, turns)
-            pixels = np.ascontiguousarray(turned)
-        layout = still.layout.turned(still.pixels.shape, turns)
+            self._invalid[position] = lies.upright(still.invalid)
+        pixels: Pixels = np.ascontiguousarray(lies.upright(still.pixels))
+        layout = still.layout.turned(still.pixels.shape, lies.upright)
         levels = (layout, still.bits, still.black, still.white)
-        this = Format(pixels.shape, *levels, is_raw, turns, still.colour)
+        this = Format(pixels.shape, *levels, is_raw, lies, still.colour)
         return pixels, this, photograph, (stated.make, stated.model, stated.serial)
 
     def _note(self, code: str, position: int, **details: str) -> None:
@@ -196,17 +204,40 @@ class PhotographFiles:
         if finding not in self.notes:
             self.notes.append(finding)
 
-    def _turns(self, position: int, stated: int) -> int:
-        """Return by how much to turn all photographs: as the first one says.
+    def _orientation(
+        self, position: int, still: Still, photograph: Photograph, stated: Orientation
+    ) -> Orientation:
+        """Return how a photograph lies: as the first one states, or as it states itself.
 
         Of a camera on a tripod all lie alike, but one that looks down may state any orientation.
+        Of photographs that a program turned or mirrored, each is as it states.
         """
-        if self._quarter_turns is None:
-            self._quarter_turns = stated
-        if stated != self._quarter_turns:
-            first = self._paths[0].name
-            self._note("tags_differ", position, what="orientation", other=first)
-        return self._quarter_turns
+        if position in self._orientations:
+            return self._orientations[position]
+        first = self._orientations.get(0, stated)
+        if stated != first and self._is_as_stated(still, photograph, stated, first):
+            first = stated
+        elif stated != first:
+            self._note("tags_differ", position, what="orientation", other=self._paths[0].name)
+        self._orientations[position] = first
+        return first
+
+    def _is_as_stated(
+        self, still: Still, photograph: Photograph, stated: Orientation, first: Orientation
+    ) -> bool:
+        """Return whether a photograph fits the others as it states, better than as the first."""
+        found = [each.upright(still.pixels) for each in (stated, first)]
+        if found[0].shape != found[1].shape:
+            return found[0].shape == self.pixels(0).shape
+        if still.layout.is_mosaic:  # the same sensor took all
+            return False
+        stops = [abs(math.log(each.exposure / photograph.exposure)) for each in self.photographs]
+        nearest = int(np.argmin(stops))
+        is_longer = photograph.exposure > self.photographs[nearest].exposure
+        other = grey_copy(self.pixels(nearest), still.white, _SIDE)[0]
+        greys = [grey_copy(each, still.white, _SIDE)[0] for each in found]
+        misfits = [misfit(other, each) if is_longer else misfit(each, other) for each in greys]
+        return misfits[0] < misfits[1]
 
     def _name_apart(self) -> None:
         """Name files by their paths where two have the same name."""

@@ -180,7 +180,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     positions, patches = [selection.positions[k] for k in right], [patches[k] for k in right]
     first = area.seen(files.pixels(positions[0]))
     planes = [each.shape for each in files.format.layout.planes(first)]
-    if files.moved or files.format.quarter_turns or first.shape != files.format.shape:
+    if files.moved or not files.are_upright or first.shape != files.format.shape:
         photographs = [each.without_blocks() for each in photographs]
     exposures = [each.exposure for each in photographs]
     facts += [at(each, positions) for each in contradictions(exposures, patches, scale, planes)]

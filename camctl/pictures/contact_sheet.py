@@ -88,8 +88,8 @@ def contact_sheet(
     ).tolist()
     sheet = Drawing(_WIDTH, tops[-1])
     sheet.text(_title(details), (MARGIN, tops[0]), _INNER, size=TITLE)
-    turns = details.quarter_turns
-    marked = np.rot90(_marked(light, np.rot90(preview, -turns), movement), turns)
+    lies = details.orientation
+    marked = lies.upright(_marked(light, lies.lying(preview), movement))
     _draw_pictures(sheet, (tops[1], picture), preview, marked, details)
     for number, row in enumerate(rows):
         top = tops[2] + number * (frame_height + 2 * LINE_HEIGHT + MARGIN)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from camctl.interface.camera import CameraInfo, Pixels
 from camctl.interface.colour import CameraColour
 from camctl.interface.controls import ExposureControls, ExposureSetting, Layout
+from camctl.interface.orientation import UPRIGHT, Orientation
 from camctl.pictures.mosaic import colour_of
 from camctl.pictures.preview import srgb_codes
 from camctl.system.number_text import range_text, time_text
@@ -60,7 +61,7 @@ class PictureDetails:
         moved: share of the samples whose frames contradict each other; None: not examined
         spread: share of the samples that light spread to, which is not in `moved`
         colour: as `ExposureControls.colour`: None: the colours of the pictures are the camera's own
-        quarter_turns: by which the frames must be turned anticlockwise to be upright, 0 to 3
+        orientation: of the pixels of the frames
     """
 
     camera: CameraInfo
@@ -76,7 +77,7 @@ class PictureDetails:
     moved: float | None = None
     spread: float = 0.0
     colour: CameraColour | None = None
-    quarter_turns: int = 0
+    orientation: Orientation = UPRIGHT
 
     @property
     def total_time_s(self) -> float:

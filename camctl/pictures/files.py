@@ -111,7 +111,7 @@ def write_picture_files(
             summed.result()  # raises its error before the errors of the others
         light = reducer.light()
         # While the disk takes the files.
-        mapped = threads.submit(lambda: renditions(light).turned(details.quarter_turns))
+        mapped = threads.submit(lambda: renditions(light).upright(details.orientation))
     if raw is not None:
         _write_raw(directory / DNG, raw, rendering, details)
     if (imagecodecs := avif_library()) is not None:

@@ -39,8 +39,8 @@ _ISO_SPEED, _SHORT, _LARGEST_SHORT = 34855, 3, 65535
 #: its values.
 _SOFTWARE, _DATE_TIME, _EXIF_IFD = 305, 306, 34665
 _ORIGINAL_DATE, _COLOUR_SPACE, _SRGB, _UNCALIBRATED = 36867, 40961, 1, 65535
-#: The same of the orientation, and its value by the quarter turns that it asks for.
-_ORIENTATION, _ORIENTATIONS = 274, (1, 8, 3, 6)
+#: The same of the orientation.
+_ORIENTATION = 274
 #: The same of the version.
 _EXIF_VERSION = 36864
 #: Types of values: text, an integer of 32 bits, bytes without an end mark.
@@ -128,7 +128,7 @@ def tiff_tags(details: PictureDetails) -> dict[str, Any]:
     camera = details.camera
     texts = {_MAKE: camera.make, _MODEL: camera.model, _SERIAL: camera.serial}
     numbers = {_EXPOSURE_TIME: details.total_time_s, _F_NUMBER: details.f_number}
-    iso, turns = round(details.iso or 0), details.quarter_turns
+    iso, lies = round(details.iso or 0), details.orientation
     tags: dict[str, Any] = {
         "software": details.software,
         "description": details.summary,
@@ -141,7 +141,7 @@ def tiff_tags(details: PictureDetails) -> dict[str, Any]:
                 if value is not None
             ),
             *([(_ISO_SPEED, _SHORT, 1, iso, True)] if 0 < iso <= _LARGEST_SHORT else []),
-            *([(_ORIENTATION, _SHORT, 1, _ORIENTATIONS[turns], True)] if turns else []),
+            *([] if lies.is_upright else [(_ORIENTATION, _SHORT, 1, lies.tag, True)]),
         ],
     }
     if details.taken_at is not None:

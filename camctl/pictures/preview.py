@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.interface.orientation import Orientation
 from camctl.model.response.camera import linear_to_srgb
 from camctl.pictures.colour import LUMINANCE
 from camctl.pictures.preview_light import ALL, NO_LIGHT, Floats, Light, channels_of, largest_channel
@@ -77,13 +78,12 @@ class Renditions:
     codes: NDArray[np.uint8]
     light: NDArray[np.float32]
 
-    def turned(self, quarter_turns: int) -> Renditions:
-        """Return them turned anticlockwise."""
-        if not quarter_turns:
-            return self
-        codes: Any = np.rot90(self.codes, quarter_turns)
-        light: Any = np.rot90(self.light, quarter_turns)
-        return Renditions(np.ascontiguousarray(codes), np.ascontiguousarray(light))
+    def upright(self, orientation: Orientation) -> Renditions:
+        """Return them upright, where they lie like this."""
+        return Renditions(
+            np.ascontiguousarray(orientation.upright(self.codes)),
+            np.ascontiguousarray(orientation.upright(self.light)),
+        )
 
 
 def tone_map(light: Light) -> NDArray[np.uint8]:

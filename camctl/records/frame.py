@@ -8,7 +8,7 @@ from pydantic import ConfigDict, Field
 
 from camctl.evidence.ratio_check import RatioCheck, ReportModel
 from camctl.interface.controls import ExposureSetting
-from camctl.interface.layout import QUARTER_TURNS
+from camctl.interface.orientation import Orientation
 
 _Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
@@ -78,10 +78,9 @@ class StoredFrame(ReportModel):
     details: dict[str, Any] = Field(default_factory=dict)
 
     @property
-    def quarter_turns(self) -> int:
-        """By how many quarter turns it must be turned anticlockwise to be upright, 0 to 3."""
-        stated = self.details.get(QUARTER_TURNS)
-        return stated % 4 if isinstance(stated, int) else 0
+    def orientation(self) -> Orientation:
+        """How its pixels lie."""
+        return Orientation.of_details(self.details)
 
 
 class FrameRecord(StoredFrame):

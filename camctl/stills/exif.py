@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
+from camctl.interface.orientation import UPRIGHT, Orientation
 from camctl.system.library_output import quiet_libraries
 
 # Tags, with their names in the EXIF directory.
@@ -23,7 +24,6 @@ _DATE, _OFFSET = (36867, "DateTimeOriginal"), (36881, "OffsetTimeOriginal")
 _FLASH = (37385, "Flash")
 _FIRED = 1  # its lowest bit
 _ORIENTATION = (274, "Orientation")
-_QUARTER_TURNS = {1: 0, 3: 2, 6: 3, 8: 1}  # mirrored pictures are no camera's
 _CHANGED = (306, "DateTime")  # of the file, where it does not say when the picture was taken
 _EXIF_IFD, _INTEROPERABILITY = "ExifTag", "InteroperabilityTag"
 _SRGB = 1  # of the tag ColorSpace
@@ -51,7 +51,7 @@ class StatedExposure:
         f_number: of the lens
         make, model, serial: of the camera
         taken_at: when the picture was taken; in the local zone where the file states none
-        quarter_turns: by which it must be turned anticlockwise to be upright, 0 to 3
+        orientation: of its pixels
         flash_fired: whether it did
     """
 
@@ -62,7 +62,7 @@ class StatedExposure:
     model: str = ""
     serial: str = ""
     taken_at: datetime | None = None
-    quarter_turns: int = 0
+    orientation: Orientation = UPRIGHT
     flash_fired: bool | None = None
 
 
@@ -99,7 +99,7 @@ def stated_exposure(data: bytes) -> StatedExposure:
                 model=model,
                 serial=serial,
                 taken_at=_date(date or changed, offset),
-                quarter_turns=_QUARTER_TURNS.get(value(_ORIENTATION), 0),
+                orientation=Orientation.of_tag(value(_ORIENTATION)),
                 flash_fired=bool(flash & _FIRED) if isinstance(flash, int) else None,
             )
     except Exception:  # a damaged tag can cause any error in tifffile

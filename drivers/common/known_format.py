@@ -10,7 +10,6 @@ import numpy as np
 from camctl.errors import CameraError, CameraProtocolError
 from camctl.interface.camera import CameraInfo, Pixels
 from camctl.interface.controls import ExposureSetting
-from camctl.interface.layout import QUARTER_TURNS
 from camctl.profiles.profile import StillRecord, load_profile
 from camctl.stills.decoding import Still
 from camctl.stills.exif import stated_exposure
@@ -129,7 +128,7 @@ def matched_pixels(still: Still, known: KnownFormat, name: str) -> tuple[Pixels,
 def checked_exposure(
     name: str, data: bytes, applied: ExposureSetting, *, has_gain: bool
 ) -> dict[str, float]:
-    """Return the ISO speed and the turn to upright as `Frame.details` has them.
+    """Return the ISO speed and the orientation as `Frame.details` has them.
 
     The speed is the file's, or as it was set; neither is there where it is unknown.
 
@@ -160,6 +159,4 @@ def checked_exposure(
             )
     gain = stated.gain or (applied.gain if has_gain else None)
     details: dict[str, float] = {} if gain is None else {"iso": round(100 * gain, 6)}
-    if stated.quarter_turns:
-        details[QUARTER_TURNS] = stated.quarter_turns
-    return details
+    return details | stated.orientation.details

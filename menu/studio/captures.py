@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import DataError
+from camctl.interface.orientation import UPRIGHT, Orientation
 from camctl.menu.model import State
 from camctl.menu.studio.section import NOT_FOUND, Answer, RefusedError, Request
 from camctl.menu.studio.studio import Studio
@@ -108,13 +109,12 @@ class _Radiance:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._key: tuple[Path, int] | None = None
-        self._kept: tuple[NDArray[Any], NDArray[Any], NDArray[Any], int] | None = None
+        self._kept: tuple[NDArray[Any], NDArray[Any], NDArray[Any], Orientation] | None = None
 
-    def of(self, folder: Path) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], int]:
-        """Return light, its standard deviation, the mask, and how far they are to be turned.
+    def of(self, folder: Path) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], Orientation]:
+        """Return light, its standard deviation, the mask, and how they lie; raises `DataError`.
 
-        The turns are quarters, anticlockwise, as the picture was turned that people see.  Raises
-        `DataError`.
+        The picture that people see is upright.
         """
         from camctl.pictures.files import RADIANCE, read_deviation, read_mask, read_radiance
         from camctl.records.report_file import read_report_file
@@ -128,8 +128,8 @@ class _Radiance:
             if self._kept is None or self._key != key:
                 self._kept = None
                 first = read_report_file(folder).frames[0]
-                turns = 0 if first is None else first.quarter_turns
-                self._kept = read_radiance(path), read_deviation(path), read_mask(path), turns
+                lies = UPRIGHT if first is None else first.orientation
+                self._kept = read_radiance(path), read_deviation(path), read_mask(path), lies
                 self._key = key
             return self._kept
 
@@ -160,15 +160,17 @@ def light(studio: Studio, request: Request) -> Answer:
     Light and standard deviation have a value for each channel; null where it is not finite.
     """
     folder = _folder(studio, request.rest)
-    radiance, deviation, mask, turns = _RADIANCE.of(folder)
+    radiance, deviation, mask, lies = _RADIANCE.of(folder)
     try:
         shares = [float(request.query[name]) for name in ("y", "x")]
     except (KeyError, ValueError):
         shares = [-1.0]
     if not all(0 <= share <= 1 for share in shares):
         raise RefusedError(HTTPStatus.BAD_REQUEST, "there is no such place")
-    for _ in range(turns):
+    for _ in range(lies.quarter_turns):
         shares = [shares[1], 1 - shares[0]]
+    if lies.mirrored:
+        shares[1] = 1 - shares[1]
     row, column = (
         min(int(share * length), length - 1)
         for share, length in zip(shares, radiance.shape[:2], strict=True)
@@ -196,14 +198,14 @@ def layer(studio: Studio, request: Request) -> Answer:
     if name not in _LAYERS or (cv2 := opencv()) is None:
         raise RefusedError(NOT_FOUND, "there is no such layer")
     bit, colour = _bits()[name], _LAYERS[name][1]
-    *_, mask, turns = _RADIANCE.of(folder)
+    *_, mask, lies = _RADIANCE.of(folder)
     found = np.asarray(np.atleast_3d((mask & bit) > 0).any(axis=2))
     step = max(1, -(-max(found.shape) // _MASK_SIDE))
     # A single pixel must not be lost where the layer is reduced.
     wide = dilated(found.astype(np.uint8), (step, step))[::step, ::step] > 0
     painted = np.zeros((*wide.shape, 4), np.uint8)
     painted[wide] = (*colour[::-1], 255)
-    _, data = cv2.imencode(".png", np.ascontiguousarray(np.rot90(painted, turns)))
+    _, data = cv2.imencode(".png", np.ascontiguousarray(lies.upright(painted)))
     return Answer(bytes(data), "image/png")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -214,9 +214,17 @@ def test_resume_shoots_only_the_missing_frame(tmp_path: Path) -> None:
 class _TurnedCamera(StillCamera):
     """A camera that was held upright: its files state a turn."""
 
+    details: ClassVar[dict[str, int]] = {"quarter_turns": 3}
+
     def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
         for frame in super()._frames(settings):
-            yield replace(frame, details={"quarter_turns": 3})
+            yield replace(frame, details=self.details)
+
+
+class _MirroredCamera(_TurnedCamera):
+    """A camera that shows people to themselves."""
+
+    details: ClassVar[dict[str, int]] = {"quarter_turns": 3, "mirrored": True}
 
 
 def test_pictures_of_a_turned_camera_are_upright_and_its_frames_are_not(
@@ -224,7 +232,9 @@ def test_pictures_of_a_turned_camera_are_upright_and_its_frames_are_not(
 ) -> None:
     request = CaptureRequest(base_s=1 / 60, ratios=(1, 4))
     shown = {}
-    for name, kind in (("level", StillCamera), ("turned", _TurnedCamera)):
+    kinds = (StillCamera, None), (_TurnedCamera, 6), (_MirroredCamera, 7)
+    for kind, tag in kinds:
+        name = kind.__name__
         with kind(ramp()) as camera:
             report = capture(camera, request, tmp_path / name)
             shown[name] = cv2.imread(str(tmp_path / name / "preview.png"), cv2.IMREAD_UNCHANGED)
@@ -232,8 +242,10 @@ def test_pictures_of_a_turned_camera_are_upright_and_its_frames_are_not(
         for file in ("sum.tiff", "image.tiff"):
             with tifffile.TiffFile(tmp_path / name / file) as tiff:
                 assert tiff.pages.first.shape[:2] == (48, 64)
-                tag = tiff.pages.first.tags.get("Orientation")
-                assert (None if tag is None else tag.value) == (None if name == "level" else 6)
-    assert np.array_equal(shown["turned"], np.rot90(shown["level"], 3))
-    picture = cv2.imread(str(tmp_path / "turned" / "picture.jpg"))
+                stated = tiff.pages.first.tags.get("Orientation")
+                assert (None if stated is None else stated.value) == tag
+    level = shown["StillCamera"]
+    assert np.array_equal(shown["_TurnedCamera"], np.rot90(level, 3))
+    assert np.array_equal(shown["_MirroredCamera"], np.rot90(level[:, ::-1], 3))
+    picture = cv2.imread(str(tmp_path / "_TurnedCamera" / "picture.jpg"))
     assert picture.shape[:2] == (64, 48)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import tifffile
 from command_line import Run
+from numpy.typing import NDArray
 from sampling import some
 
 from camctl import read_report
@@ -27,13 +29,39 @@ def tagged(run: Run) -> Run:
     return run
 
 
-def write(orientations: Sequence[int] = (1, 1, 1), isos: Sequence[int] = (100, 100, 100)) -> None:
-    """Write the photographs `NAMES`, whose exposures are 1, 8 and 64."""
+#: How the pixels of an upright picture lie, by orientation (EXIF 2.32, 4.6.4): the first row of
+#: the file and its first column are which sides of the picture.
+_LYING: dict[int, Callable[[Any], Any]] = {
+    1: lambda upright: upright,  # top, left
+    2: lambda upright: upright[:, ::-1],  # top, right
+    3: lambda upright: upright[::-1, ::-1],  # bottom, right
+    4: lambda upright: upright[::-1],  # bottom, left
+    5: lambda upright: upright.swapaxes(0, 1),  # left, top
+    6: lambda upright: upright[:, ::-1].swapaxes(0, 1),  # right, top
+    7: lambda upright: upright[::-1, ::-1].swapaxes(0, 1),  # right, bottom
+    8: lambda upright: upright[::-1].swapaxes(0, 1),  # left, bottom
+}
+
+
+def write(
+    orientations: Sequence[int] = (1, 1, 1),
+    isos: Sequence[int] = (100, 100, 100),
+    lying: Sequence[int] | None = None,
+) -> None:
+    """Write the photographs `NAMES`, whose exposures are 1, 8 and 64; upright they are `_SHAPE`.
+
+    Args:
+        orientations: that they state
+        isos: likewise
+        lying: the orientations of their pixels; None: those that they state
+    """
     rng = np.random.default_rng(4)
     scene = np.exp(rng.normal(0, 1.2, (12, 18, 3))).repeat(8, 0).repeat(8, 1)
     scene[:, :72] *= 20  # the left half is bright
+    scene[:8] *= 20  # and so is the top
     levels = standard_response("srgb", 8).levels
-    for name, exposure, orientation, iso in zip(NAMES, (1, 8, 64), orientations, isos, strict=True):
+    whole = zip(NAMES, (1, 8, 64), orientations, isos, lying or orientations, strict=True)
+    for name, exposure, orientation, iso, lies in whole:
         light = scene * exposure / 400
         light += np.sqrt(light / 8000) * rng.normal(size=light.shape)
         pixels = np.searchsorted(levels, light, side="right").astype(np.uint8)
@@ -42,27 +70,46 @@ def write(orientations: Sequence[int] = (1, 1, 1), isos: Sequence[int] = (100, 1
             (_ISO, 3, 1, iso, True),
             (_ORIENTATION, 3, 1, orientation, True),
         ]
-        tifffile.imwrite(name, pixels, photometric="rgb", extratags=tags)
+        tifffile.imwrite(name, _LYING[lies](pixels), photometric="rgb", extratags=tags)
 
 
-@pytest.mark.parametrize(("orientation", "turns"), some([(6, -1), (1, 0), (3, 2), (8, 1)], every=4))
-def test_photographs_are_turned_upright(tagged: Run, orientation: int, turns: int) -> None:
+def is_upright(radiance: NDArray[Any]) -> bool:
+    """Whether the left half is bright, and of a grey row of the scene the order is right."""
+    return radiance.shape[:2] == _SHAPE and bool(
+        radiance[:, :72].mean() > 5 * radiance[:, 72:].mean()
+        and radiance[:8].mean() > 5 * radiance[-8:].mean()
+    )
+
+
+@pytest.mark.parametrize("orientation", some([2, 6, 1, 3, 4, 5, 7, 8], every=4))
+def test_photographs_are_turned_upright(tagged: Run, orientation: int) -> None:
     write((orientation,) * 3)
     ran = tagged("merge", *NAMES, "--curve", "srgb", "-o", "hall")
     assert (ran.status, "orientation" in ran.err) == (0, False)
-    lying = np.rot90(read_report("hall").radiance(), -turns)
-    assert lying.shape[:2] == _SHAPE
-    assert lying[:, :72].mean() > 5 * lying[:, 72:].mean()
+    assert is_upright(read_report("hall").radiance())
 
 
-def test_all_photographs_are_turned_as_the_first_one_states(tagged: Run) -> None:
-    write((6, 6, 1))
+@pytest.mark.parametrize("orientations", [(6, 8, 1), (1, 2, 3)])
+def test_photographs_that_were_turned_apart_are_all_turned_upright(
+    tagged: Run, orientations: tuple[int, ...]
+) -> None:
+    write(orientations)
+    ran = tagged("merge", *NAMES, "--curve", "srgb", "-o", "hall")
+    assert (ran.status, "orientation" in ran.err) == (0, False)
+    assert is_upright(read_report("hall").radiance())
+
+
+@pytest.mark.parametrize("stated", [1, 8])
+def test_photographs_of_a_tripod_are_turned_as_the_first_one_states(
+    tagged: Run, stated: int
+) -> None:
+    write((6, 6, stated), lying=(6, 6, 6))
     ran = tagged("merge", *NAMES, "--curve", "srgb", "-o", "hall")
     assert ran.status == 0
     report = read_report("hall")
     (note,) = [each for each in report.findings if each.code == "tags_differ"]
     assert (note.frames, note.details["what"]) == ((2,), "orientation")
-    assert report.radiance().shape == (*_SHAPE[::-1], 3)
+    assert is_upright(report.radiance())
 
 
 def test_what_differs_beside_the_times_is_in_the_table(tagged: Run) -> None:

@@ -18,6 +18,7 @@ from camctl.interface.controls import (
     ResponseOrigin,
     Steps,
 )
+from camctl.interface.orientation import Orientation
 
 
 def test_choices_are_near_as_ratios() -> None:
@@ -118,14 +119,16 @@ def test_inconsistent_bit_depth_black_and_white_are_refused(
         )
 
 
-@given(st.sampled_from(Layout), st.integers(2, 7), st.integers(2, 7), st.integers(-4, 4))
+@given(st.sampled_from(Layout), st.integers(2, 7), st.integers(2, 7), st.integers(1, 8))
 def test_a_turned_mosaic_has_the_samples_of_each_colour(
-    layout: Layout, rows: int, columns: int, turns: int
+    layout: Layout, rows: int, columns: int, tag: int
 ) -> None:
     channels = (3,) if layout is Layout.RGB else ()
     frame = np.arange(rows * columns * 3).reshape(rows, columns, 3)[..., : max(1, sum(channels))]
     frame = frame.reshape(rows, columns, *channels)
-    turned = np.rot90(frame, turns)
+    lies = Orientation.of_tag(tag)
+    turned = lies.upright(frame)
+    assert np.array_equal(lies.lying(turned), frame)
 
     def samples(layout: Layout, frame: NDArray[Any]) -> dict[str, set[int]]:
         found: dict[str, set[int]] = {}
@@ -134,7 +137,7 @@ def test_a_turned_mosaic_has_the_samples_of_each_colour(
             found.setdefault(letter, set()).update(plane.ravel().tolist())
         return found
 
-    assert samples(layout.turned(frame.shape, turns), turned) == samples(layout, frame)
+    assert samples(layout.turned(frame.shape, lies.upright), turned) == samples(layout, frame)
 
 
 def test_a_camera_that_states_a_black_level_is_right_in_the_mean() -> None:

@@ -81,10 +81,11 @@ def test_a_file_of_another_format_is_an_error_with_its_record(still: Still) -> N
     assert caught.value.record == still.record
 
 
-@pytest.mark.parametrize(("orientation", "turns"), [(1, None), (3, 2), (6, 3), (8, 1)])
+@pytest.mark.parametrize(("orientation", "turns"), [(1, None), (3, 2), (6, 3), (8, 1), (5, 1)])
 def test_the_turn_that_a_file_states_is_a_detail_of_its_frame(
     orientation: int, turns: int | None
 ) -> None:
     data = raw_file(np.zeros((16, 16), np.uint16), 0.25, orientation=orientation)
     details = checked_exposure("A.DNG", data, ExposureSetting(0.25), has_gain=False)
     assert details.get("quarter_turns") == turns
+    assert details.get("mirrored", False) == (orientation == 5)
