@@ -40,10 +40,6 @@ for _name in ("SIGINT", "SIGQUIT", "SIGHUP"):  # the last two are POSIX signals
         signal.signal(_number, signal.default_int_handler if is_interrupt else signal.SIG_DFL)
 
 
-# Programs and helper modules: --doctest-modules would import them.
-collect_ignore = ["bench", "example_driver", "helpers", "oracle"]
-
-
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
     """Collect without garbage collection, a quarter of the time: what is made then mostly stays."""
