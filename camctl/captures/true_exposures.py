@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from camctl.captures.setting_findings import NOTABLE_DIFFERENCE
 from camctl.errors import DataError
 from camctl.evidence.patches import Patches
-from camctl.evidence.ratios import comparable_frames, estimate_ratios
+from camctl.evidence.ratios import estimate_comparable
 from camctl.findings import Finding
 from camctl.interface.controls import ExposureControls
 from camctl.model.sensor import SensorModel
@@ -42,14 +42,11 @@ def estimate_exposures(
     settings = [frame.applied for frame in frames]
     noise = None if controls.noise is None else controls.frame_noise(settings)
     try:
-        used = sorted(comparable_frames(samples, scale, noise))
-        if len(used) < 2:
-            used = list(range(len(frames)))
-        labels = [settings[k].exposure for k in used]
-        noises = None if noise is None else [noise[k] for k in used]
-        found = estimate_ratios([samples[k] for k in used], labels, scale, noises)
+        every = [each.exposure for each in settings]
+        used, found = estimate_comparable(samples, every, scale, noise)
     except DataError as error:
         return None, [Finding(code="not_estimated", details={"what": error.what})]
+    labels = [every[k] for k in used]
     unit, label = found.exposures[found.reference], labels[found.reference]
     notes = [
         Finding(code="not_estimated", frames=(k,)) for k in range(len(frames)) if k not in used

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from types import ModuleType
 
 import numpy as np
@@ -218,14 +219,14 @@ class _Level:
         found = replace(found, beside=beside)
         slopes = np.stack((across, down, turn, growth))
         # What a change of brightness explains is no displacement.
-        return replace(found, slopes=found.without_bins(slopes, np.ones_like(values)))
+        return replace(found, slopes=found.without_bins(slopes))
 
     @property
     def half(self) -> float:
         """Half the longer side, pixels."""
         return float(max(self.image.shape)) / 2
 
-    @property
+    @cached_property
     def counts(self) -> NDArray[np.intp]:
         """Points of each bin."""
         return np.diff(self.starts, append=self.values.size)
@@ -238,16 +239,29 @@ class _Level:
         """Return for each point what a bin has."""
         return np.repeat(of_bins.astype(np.float32), self.counts, axis=-1)
 
-    def without_bins(self, values: _Floats, used: _Floats) -> _Floats:
+    def _moments(self, used: _Floats | np.float32) -> tuple[_Vector, _Vector, _Vector]:
+        """Return number, mean and sum of squares of `beside` in each bin, see `without_bins`."""
+        beside = self.beside * used
+        count = np.maximum(self.sums(np.broadcast_to(used, beside.shape)), 1)
+        middle = self.sums(beside) / count
+        return count, middle, self.sums(beside * self.beside) - count * middle**2
+
+    @cached_property
+    def _moments_of_all(self) -> tuple[_Vector, _Vector, _Vector]:
+        return self._moments(np.float32(1))
+
+    def without_bins(self, values: _Floats, used: _Mask | None = None) -> _Floats:
         """Return values at the points minus their line over brightness in each bin of it.
 
-        The line is that of points that are used, 1, and not 0.  `values` may have more than one
-        line, (..., N).
+        The line is that of points that are used; None: all.  `values` may have more than one line,
+        (..., N).
         """
-        count = np.maximum(self.sums(used), 1)
-        beside, chosen = self.beside * used, values * used
-        middle, means = self.sums(beside) / count, self.sums(chosen) / count
-        spread = self.sums(beside * self.beside) - count * middle**2
+        if used is None or used.all():
+            chosen, (count, middle, spread) = values, self._moments_of_all
+        else:
+            weights = used.astype(np.float32)
+            chosen, (count, middle, spread) = values * weights, self._moments(weights)
+        means = self.sums(chosen) / count
         slopes = self.sums(chosen * self.beside) - count * middle * means
         slopes /= np.maximum(spread, 1e-12)
         found = values - self.repeated(means - slopes * middle)
@@ -274,7 +288,7 @@ class _Level:
         lines = x.reshape(2, -1), y.reshape(2, -1)
         values = cv2.remap(self.image, *lines, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         difference = np.ravel(values) - self.values
-        return self.without_bins(difference, inside.astype(np.float32)), inside
+        return self.without_bins(difference, inside), inside
 
     def of_blocks(self, values: _Floats) -> _Vector:
         """Return the sum over each block of the picture that has points."""

@@ -30,7 +30,7 @@ from camctl.evidence.ratio_check import (
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import Layout
 from camctl.model.noise import FrameNoise
-from camctl.model.quantiles import NORMAL_MAD
+from camctl.model.quantiles import NORMAL_MAD, median
 from camctl.model.response.camera import CameraResponse
 from camctl.model.sensor import (
     BLACK_ERROR_LEVELS,
@@ -295,7 +295,7 @@ class NeighbourCheck:
         logs = np.log(np.maximum(one, least) * ratio / np.maximum(other, least))
         shows = ((one > least) | (logs < 0)) & ((other > least) | (logs > 0)) & usable.any(axis=1)
         shows &= (one > least) | (other > least)
-        return float(np.median(logs[shows])) if shows.any() else 0.0
+        return median(logs[shows]) if shows.any() else 0.0
 
     def _saturated_votes(
         self, dim: FrameSample, bright: FrameSample, ratio: float
@@ -343,8 +343,8 @@ def _fitted(logs: _Floats, sigmas: _Floats, limit: float) -> tuple[float, float,
     """
     mean = weighted_median(logs, 1 / np.square(sigmas))
     for _ in range(_ROUNDS):
-        scatter = float(np.median(np.abs(logs - mean))) / NORMAL_MAD
-        extra = max(scatter**2 - float(np.median(sigmas)) ** 2, 0.0)
+        scatter = median(np.abs(logs - mean)) / NORMAL_MAD
+        extra = max(scatter**2 - median(sigmas) ** 2, 0.0)
         weights = 1 / (np.square(sigmas) + extra)
         kept = np.where(np.square(logs - mean) * weights <= limit**2, weights, 0.0)
         if kept.any():

@@ -31,9 +31,11 @@ from camctl.model.distribution import most_read_noise
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Posterior
 from camctl.model.noise import FrameNoise, MeasuredNoise
+from camctl.model.quantiles import median
 from camctl.model.response.camera import CameraResponse
 from camctl.model.response.desired import DesiredResponse
 from camctl.model.sensor import SensorModel
+from camctl.system.picture_operations import looked_up
 
 #: Patches with a mean below this level in the longer frame are not used: what is clipped at black
 #: does not show its light.
@@ -156,8 +158,8 @@ def _fit(question: _Question) -> _Fit:
     # The median of the single patches is a start that moving objects do not disturb.  It is too
     # large by what quantisation adds: from too small a one, few patches would fit.
     each = patches.terms.sum(axis=0)
-    start = float(np.median(patches.variance / each))
-    change = _SMALL_CHANGE * max(start, float(np.median(patches.quantisers.sum(axis=0) / each)))
+    start = median(patches.variance / each)
+    change = _SMALL_CHANGE * max(start, median(patches.quantisers.sum(axis=0) / each))
     found, covariance, axes = np.array([start, start]), np.zeros((2, 2)), np.eye(2)
     rounds = _ROUNDS
     if question.like is not None:
@@ -424,13 +426,13 @@ def _pair(
     def mean(values: _Floats) -> _Floats:
         return np.asarray(np.einsum("ps,ps->p", values, counted) / np.maximum(count, 1))
 
-    long = predicted.take(samples[1][chosen])
+    long = looked_up(predicted, samples[1][chosen])
     middle = mean(long)
     lit = ratio * middle >= _LEAST_LEVEL
     chosen, count, counted = chosen[lit], count[lit], counted[lit]
     long, middle = long[lit], middle[lit]
-    before, after = (each[chosen].astype(np.intp) for each in samples)  # once, for both tables
-    short = light.take(before)
+    before, after = (each[chosen] for each in samples)
+    short = looked_up(light, before)
     difference = short - long
     bias = mean(difference)
     spread = mean((difference - bias[:, None]) ** 2) * count / np.maximum(count - 1, 1)
@@ -440,7 +442,7 @@ def _pair(
     photon = middle * (gains[0] + gains[1] / ratio)
     read = np.full(middle.size, gains[0] ** 2 + (gains[1] / ratio) ** 2)
     terms = np.stack([np.maximum(photon, 0.0), read])
-    rounding = [mean(squared_step.take(each)) / 12 for each in (before, after)]
+    rounding = [mean(looked_up(squared_step, each)) / 12 for each in (before, after)]
     # What moved, or has another exposure, is not of one light.
     error = TRIM * np.sqrt(spread / np.maximum(count, 1)) + np.sqrt(12 * rounding[0])
     used = np.abs(bias) <= error + MOST_BIAS * middle

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.patches import Patches
-from camctl.model.quantiles import NORMAL_MAD
+from camctl.model.quantiles import NORMAL_MAD, median, median_of_ascending
 from camctl.model.sensor import RESPONSE_ERROR, Prediction, SensorModel
+from camctl.system.picture_operations import looked_up
 
 MEAN_RADIUS = 2
 """Half the side, without the middle, of the squares whose mean is tested: 5 x 5 samples."""
@@ -111,28 +112,14 @@ class PatchErrors:
         def mean(values: _Floats) -> _Floats:
             return np.asarray(np.einsum("ps,ps->p", values, weights))
 
-        before, after = before.astype(np.intp), after.astype(np.intp)  # once, for all tables
-        predicted = prediction.mean.take(after)
-        errors = sensor.light.take(before) - predicted
+        predicted = looked_up(prediction.mean, after)
+        errors = looked_up(sensor.light, before) - predicted
         error = mean(errors)
         errors -= error[:, None]
         variance = mean(np.square(errors, out=errors)) * count / (count - 1)
-        own, shared = (mean(table.take(after)) for table in (prediction.own, prediction.shared))
+        own, shared = (mean(looked_up(each, after)) for each in (prediction.own, prediction.shared))
         light = mean(predicted)
         return cls(kept, mean(after.astype(np.float64)), light, error, variance, own, shared, count)
-
-
-def median(values: _Floats) -> float:
-    """Return the median of at least one number, as `np.median` does in eight times the time."""
-    return _median_of_ascending(np.sort(values))
-
-
-def _median_of_ascending(values: _Floats) -> float:
-    """Return the median of at least one number; they ascend."""
-    middle = values.size // 2
-    if values.size % 2:
-        return float(values[middle])
-    return float((values[middle - 1] + values[middle]) / 2)
 
 
 def _trimmed_median(values: _Floats, spread: float) -> float:
@@ -140,9 +127,9 @@ def _trimmed_median(values: _Floats, spread: float) -> float:
     ascending, size = np.sort(values), 0
     while size != ascending.size:
         size = ascending.size
-        most = _median_of_ascending(ascending) * (1 + TRIM * spread)
+        most = median_of_ascending(ascending) * (1 + TRIM * spread)
         ascending = ascending[: np.searchsorted(ascending, most, side="right")]
-    return _median_of_ascending(ascending)
+    return median_of_ascending(ascending)
 
 
 def _medians(ascending: _Floats, counts: NDArray[np.intp]) -> _Floats:
@@ -191,7 +178,7 @@ def fitted_model(part: PatchErrors, prediction: Prediction) -> Prediction:
     # response at a brightness are.
     order, bins = _by_brightness(part)
     scattered = np.array_split((np.abs(errors) / np.sqrt(variance))[order], len(bins))
-    places = [_median_of_ascending(each) for each in bins]
+    places = [median_of_ascending(each) for each in bins]
     squares = [max(1.0, (median(each) / NORMAL_MAD) ** 2) for each in scattered]
     more = np.interp(np.arange(prediction.mean.size), places, squares)
     own, shared = factor * prediction.own, prediction.shared + smear**2
@@ -239,7 +226,7 @@ def fitted_tables(part: PatchErrors, prediction: Prediction) -> Prediction:
     errors = np.square(biases - bias[:, np.newaxis]) * (np.square(unit) / least).take(near)
     samples = rows(part.count[order], 0.0).sum(axis=1) / counts
     shared = np.maximum(_trimmed_means(errors, counts) - own / samples, 0.0)
-    places = [_median_of_ascending(each) for each in bins]
+    places = [median_of_ascending(each) for each in bins]
     at = np.arange(prediction.mean.size)
     bias, own, shared = (np.interp(at, places, each) for each in (bias, own, shared))
     least = prediction.own + prediction.shared

@@ -32,15 +32,12 @@ def sample_patches(planes: Sequence[NDArray[Any]], white: int) -> Patches:
 
     Frames of one size have the same patches, colour by colour and row by row.
     """
-    patches = []
     rows, columns, side = patch_places([plane.shape for plane in planes])
-    within = np.arange(side)
-    for plane in planes:
-        found = plane[
-            (rows[:, None] + within)[:, None, :, None], (columns[:, None] + within)[None, :, None]
-        ]
-        patches.append(found.reshape(-1, side * side))
-    return np.asarray(np.minimum(np.concatenate(patches), white), np.uint16)
+    found = np.empty((len(planes), rows.size, columns.size, side, side), planes[0].dtype)
+    for place, plane in enumerate(planes):
+        squares = np.lib.stride_tricks.sliding_window_view(plane, (side, side))
+        found[place] = squares[rows[:, None], columns]
+    return np.asarray(np.minimum(found.reshape(-1, side * side), white), np.uint16)
 
 
 def patch_places(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
-from camctl.model.quantiles import NORMAL_MAD
+from camctl.model.quantiles import NORMAL_MAD, median
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import BLACK_ERROR_LEVELS
 
@@ -38,8 +40,10 @@ class RatioFit:
         self.used = self._weights > 0
         # The exposures of the other frames, and the error of the black level.
         self._unknown = [k for k in range(logs.shape[1] + 1) if k != reference]
+        self._both = np.stack((slopes, logs), axis=2)
         # Contiguous patches form a block, since they follow each other row by row.
-        self._block = np.arange(len(logs)) * BLOCKS // len(logs)
+        ends = [-(-block * len(logs) // BLOCKS) for block in range(BLOCKS + 1)]
+        self._blocks = [slice(*each) for each in pairwise(ends)]
 
     def robust(self, start: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return x and the final weights, from a first estimate of x."""
@@ -47,7 +51,7 @@ class RatioFit:
         for _ in range(_STEPS):
             residual = self._residuals(x, black, self._weights)
             size = np.abs(residual) * np.sqrt(self._weights)
-            self.scatter = max(1.0, float(np.median(size[self._weights > 0])) / NORMAL_MAD)
+            self.scatter = max(1.0, median(size[self._weights > 0]) / NORMAL_MAD)
             keep = np.square(np.clip(1 - np.square(size / (_TUKEY * self.scatter)), 0, None))
             weights = self._weights * keep
             before = x
@@ -76,16 +80,16 @@ class RatioFit:
         """Return the normal equations of each block, (blocks, n + 1, n + 2), for n frames and b."""
         count = weights.shape[1]
         total = np.maximum(weights.sum(axis=1, keepdims=True), 1e-300)
-        weighted = weights[:, :, None] * np.stack((self._slopes, self._logs), axis=2)
+        weighted = weights[:, :, None] * self._both
         columns = np.concatenate((weights, weighted.sum(axis=1)), axis=1)
+        shares = columns / total
         result = np.zeros((BLOCKS, count + 1, count + 2))
-        for block, part in enumerate(result):
-            here = self._block == block
+        for here, part in zip(self._blocks, result, strict=True):
             part[:count, :count] = np.diag(weights[here].sum(axis=0))
             part[:count, count:] = weighted[here].sum(axis=0)
             part[count, :count] = part[:count, count]
             part[count, count:] = np.tensordot(self._slopes[here], weighted[here])
-            part -= columns[here, :-1].T @ (columns[here] / total[here])
+            part -= columns[here, :-1].T @ shares[here]
         return result
 
     def _normal(self, sums: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from camctl.evidence.patches import Patches, shared_rounding
 from camctl.evidence.ratio_check import MOST
 from camctl.evidence.ratio_fit import BLOCKS, RatioFit
 from camctl.model.noise import FrameNoise
-from camctl.model.quantiles import Z_95, student
+from camctl.model.quantiles import Z_95, median, student
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import CLIPPING_SIGMAS, SensorModel
 
@@ -84,11 +84,42 @@ def estimate_ratios(
         DataError: fewer than two frames, frames of different size, no light, nothing unsaturated,
             frames without common patches, or a scene that moved
     """
+    return _estimated(_observed(frames, scale, noise), frames, labels, scale)
+
+
+def estimate_comparable(
+    frames: Sequence[Patches],
+    labels: Sequence[float],
+    scale: SensorModel,
+    noise: Sequence[FrameNoise] | None = None,
+) -> tuple[list[int], RatioEstimates]:
+    """Return the positions of the frames that can be compared, in order, and their estimates.
+
+    All are compared where none can be.  Arguments and errors as of `estimate_ratios`.
+    """
+    seen = _observed(frames, scale, noise)
+    used = sorted(seen.comparable())
+    if len(used) < 2:
+        used = list(range(len(frames)))
+    chosen = [frames[k] for k in used]
+    return used, _estimated(seen.part(used), chosen, [labels[k] for k in used], scale)
+
+
+def _observed(
+    frames: Sequence[Patches], scale: SensorModel, noise: Sequence[FrameNoise] | None
+) -> _Observations:
+    """Return the light of the patches; `DataError` of one frame, or of frames of several sizes."""
     if len(frames) < 2:
         raise DataError("one frame has no exposure ratio", hint="take two frames at least")
     if len({frame.shape for frame in frames}) > 1:
         raise DataError("the frames have different sizes", hint="keep the camera's format fixed")
-    seen = _Observations.of(frames, scale, noise)
+    return _Observations.of(frames, scale, noise)
+
+
+def _estimated(
+    seen: _Observations, frames: Sequence[Patches], labels: Sequence[float], scale: SensorModel
+) -> RatioEstimates:
+    """Return what `estimate_ratios` does, from the light of the patches."""
     weights = seen.weights(seen.light)
     _check_light(frames, weights, scale)
     logs = np.log(seen.light)
@@ -144,15 +175,7 @@ def comparable_frames(
 
     Arguments as of `estimate_ratios`.
     """
-    seen = _Observations.of(frames, scale, noise)
-    common = _common_patches(seen.weights(seen.light) > 0)
-    found: set[int] = set()
-    added = {int(np.argmax(common.max(axis=0)))}
-    while added:
-        found |= added
-        near = np.flatnonzero((common[sorted(added)] >= _LEAST_PATCHES).any(axis=0))
-        added = set(near.tolist()) - found
-    return found
+    return _Observations.of(frames, scale, noise).comparable()
 
 
 def _common_patches(usable: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -216,6 +239,25 @@ class _Observations:
         )
         return cls(light, usable, least, fixed, shared, np.array(photons) / frames[0].shape[1])
 
+    def part(self, frames: Sequence[int]) -> _Observations:
+        """Return those of some of the frames."""
+        if len(frames) == len(self.photons):
+            return self
+        used = list(frames)
+        names = (each.name for each in fields(self))
+        return _Observations(*(getattr(self, name)[..., used] for name in names))
+
+    def comparable(self) -> set[int]:
+        """Return the frames that can be compared with most others, see `comparable_frames`."""
+        common = _common_patches(self.weights(self.light) > 0)
+        found: set[int] = set()
+        added = {int(np.argmax(common.max(axis=0)))}
+        while added:
+            found |= added
+            near = np.flatnonzero((common[sorted(added)] >= _LEAST_PATCHES).any(axis=0))
+            added = set(near.tolist()) - found
+        return found
+
     def variance(self, light: FloatArray) -> FloatArray:
         """Return the variance of the mean of patches with this light, without shared errors."""
         return self.fixed + self.photons * light
@@ -267,6 +309,6 @@ def _connect(
                 hint="add exposures between them",
             )
         both = usable[:, one] & usable[:, other]
-        x[other] = x[one] + float(np.median(logs[both, other] - logs[both, one]))
+        x[other] = x[one] + median(logs[both, other] - logs[both, one])
         connected.append(other)
     return reference, x

@@ -136,7 +136,10 @@ def _deviates(
         means: returns the mean of each cell of values of the samples
         size: samples of a cell
     """
-    parts = [_errors(before, after, means) for before, after in pairs]
+    parts = [
+        _errors(*pair, expected, means)
+        for pair, expected in zip(pairs, _expected(pairs), strict=True)
+    ]
     if len(parts) == OF_Y.size:
         of_colours, common = zip(*parts, strict=True)
         parts = [(brightness(of_colours), np.tensordot(np.square(OF_Y), np.stack(common), 1))]
@@ -150,10 +153,12 @@ def _deviates(
 
 
 def _errors(
-    before: NDArray[np.uint8], after: NDArray[np.uint8], means: Callable[[Values], Values]
+    before: NDArray[np.uint8],
+    after: NDArray[np.uint8],
+    expected: Values,
+    means: Callable[[Values], Values],
 ) -> tuple[Values, Values]:
     """Return the error of each sample of a plane, and the variance that those of a cell share."""
-    expected = _expected(before, after)
     predicted = looked_up(expected, after)
     errors = before - predicted
     # What is saturated in the longer frame may be brighter.
@@ -163,18 +168,26 @@ def _errors(
     return errors, shared + np.square(ESTIMATED_RESPONSE_ERROR * means(predicted))
 
 
-def _expected(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> Values:
-    """Return the level of the shorter frame that most samples of each of the longer one have."""
-    both = after.astype(np.uint16) * np.uint16(LEVELS) + before
-    counts = level_counts(both, LEVELS**2).reshape(LEVELS, LEVELS)
-    seen = counts[:_SATURATED, :_SATURATED].astype(np.float64)
-    seen[0] = seen[:, 0] = 0  # clipped at black
-    curve = _ascending_path(seen)
-    # What is saturated is at least as bright as what is not, and of which enough is seen.
-    known = np.flatnonzero(seen[: _LEAST_SATURATED + 1].sum(axis=1) >= LEAST_PATCHES)
-    expected = np.full(LEVELS, curve[known[-1] if known.size else 0], np.float32)
-    expected[:_SATURATED] = curve
-    return expected
+def _expected(pairs: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint8]]]) -> list[Values]:
+    """Return the level of the shorter frame that most samples of each of the longer one have.
+
+    For each plane, see `_deviates`.
+    """
+    planes = []
+    for before, after in pairs:
+        both = after.astype(np.uint16) * np.uint16(LEVELS) + before
+        counts = level_counts(both, LEVELS**2).reshape(LEVELS, LEVELS)
+        seen = counts[:_SATURATED, :_SATURATED].astype(np.float64)
+        seen[0] = seen[:, 0] = 0  # clipped at black
+        planes.append(seen)
+    found = []
+    for seen, curve in zip(planes, _ascending_paths(planes), strict=True):
+        # What is saturated is at least as bright as what is not, and of which enough is seen.
+        known = np.flatnonzero(seen[: _LEAST_SATURATED + 1].sum(axis=1) >= LEAST_PATCHES)
+        expected = np.full(LEVELS, curve[known[-1] if known.size else 0], np.float32)
+        expected[:_SATURATED] = curve
+        found.append(expected)
+    return found
 
 
 def _cell_means(values: Values, shape: tuple[int, int]) -> Values:
@@ -189,33 +202,37 @@ def _cell_means(values: Values, shape: tuple[int, int]) -> Values:
     return values
 
 
-def _ascending_path(counts: FloatArray) -> FloatArray:
-    """Return the brightness of the shorter frame at each one of the longer, (levels,).
+def _ascending_paths(planes: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return the brightness of the shorter frame at each one of the longer, (levels,) each.
 
     Args:
-        counts: (levels, levels) samples by brightness in the longer and in the shorter frame
+        planes: for each, (levels, levels) samples by brightness in the longer and in the shorter
+            frame
     """
-    size = len(counts)
-    near = _smoothed(_smoothed(counts).T).T
-    total = [near.sum(axis=axis) + LEAST_PATCHES for axis in (1, 0)]
-    implied = near**2 / total[0][:, None] / total[1]
-    highest, best = np.empty((size, size)), np.zeros(size)
-    for level, gain in enumerate(implied):
-        best = np.maximum.accumulate(best, out=highest[level]) + gain
-    is_first = np.ones((size, size), np.bool_)
-    is_first[:, 1:] = highest[:, 1:] > highest[:, :-1]
-    came_from = np.maximum.accumulate(np.where(is_first, np.arange(size), 0), axis=1)
-    path = np.zeros(size, np.intp)
-    place = int(best.argmax())
-    for level in range(size - 1, -1, -1):
-        path[level] = place
-        place = int(came_from[level][place])
-    return _smoothed(path.astype(np.float64)[:, None])[:, 0]
+    size = len(planes[0])
+    implied = np.empty((size, len(planes), size))  # of all planes for each step below
+    for place, counts in enumerate(planes):
+        near = _smoothed(_smoothed(counts).T).T
+        total = [near.sum(axis=axis) + LEAST_PATCHES for axis in (1, 0)]
+        implied[:, place] = near**2 / total[0][:, None] / total[1]
+    highest, best = np.empty_like(implied), np.zeros(implied.shape[1:])
+    for before, gain in zip(highest, implied, strict=True):
+        best = np.maximum.accumulate(best, axis=1, out=before) + gain
+    is_first = np.ones(highest.shape, np.bool_)
+    is_first[..., 1:] = highest[..., 1:] > highest[..., :-1]
+    came_from = np.maximum.accumulate(np.where(is_first, np.arange(size), 0), axis=2)
+    paths = np.zeros((size, len(planes)), np.intp)
+    places, every = best.argmax(axis=1), np.arange(len(planes))
+    for path, origins in zip(paths[::-1], came_from[::-1], strict=True):
+        path[:] = places
+        places = origins[every, places]
+    return list(_smoothed(paths.astype(np.float64)).T)
 
 
 def _smoothed(values: FloatArray) -> FloatArray:
     """Return means over `_NEAR` places on each side along the first axis."""
-    padded = np.pad(values, ((_NEAR, _NEAR), (0, 0)), mode="edge")
+    ends = [np.repeat(values[[place]], _NEAR, axis=0) for place in (0, -1)]
+    padded = np.concatenate((ends[0], values, ends[1]))  # in half of the time of `np.pad`
     total = padded[: len(values)].copy()
     for k in range(1, 2 * _NEAR + 1):
         total += padded[k : k + len(values)]

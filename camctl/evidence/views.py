@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ from camctl.evidence.patches import Patches
 from camctl.evidence.ratio_check import MOST, SIGNIFICANCE
 from camctl.evidence.unknown_response import deviating_patches
 from camctl.findings import Finding
+from camctl.model.quantiles import median
 from camctl.model.sensor import FILE_OFFSET, JPEG_ERROR
 
 #: Samples on each side of a square that is averaged, against noise.
@@ -91,7 +92,7 @@ def likenesses(patches: Sequence[Patches], colours: int, black: int, white: int)
             contrasts = _Contrasts.of(planes[dark], planes[bright], white)
             if contrasts.size < LEAST_PATCHES:
                 continue
-            alike = Likeness(contrasts.common(), contrasts.sharpness(), 1.0)
+            alike = Likeness(contrasts.common, contrasts.sharpness(), 1.0)
             if not (contrasts.is_common() and alike.is_same):
                 deviates = partial(
                     deviating_patches, patches[dark], colours=colours, black=black, white=white
@@ -264,16 +265,17 @@ class _Contrasts:
         """The least number of patches of a size of structure."""
         return min(len(self.fine.T), len(self.coarse.T))
 
+    @cached_property
     def common(self) -> float:
-        """Return the median contrast of coarse structure."""
-        return float(np.median(self.coarse[0]))
+        """The median contrast of coarse structure."""
+        return median(self.coarse[0])
 
     def is_common(self) -> bool:
         """Return whether most of the variance of both is common to them, in most patches."""
         shares = []
         for contrast, variance, own in (self.fine, self.coarse):
             explained = np.square(contrast) * variance / np.maximum(own, 1e-12)
-            shares.append(float(np.median(np.where(contrast > 0, explained, 0))))
+            shares.append(median(np.where(contrast > 0, explained, 0)))
         return min(shares) > MOST
 
     def sharpness(self, unlike: float = 0.0) -> float:
@@ -289,7 +291,7 @@ class _Contrasts:
             weighted_quantile(each[0], each[1], (1 + unlike) / 2)
             for each in (self.fine, self.coarse)
         )
-        more = max(self.common(), 1.0)
+        more = max(self.common, 1.0)
         return max(fine, 0.0) / coarse * more if coarse > 0 else math.nan
 
 
@@ -313,5 +315,6 @@ def _structure(patches: NDArray[Any]) -> tuple[_Floats, _Floats]:
         for column in range(_POOLED):
             small += squares[:, row::_POOLED, column::_POOLED]
     small = small.reshape(-1, count, 2, count, 2) / _POOLED**2
-    large = small.mean(axis=(2, 4), keepdims=True)
+    pairs = small[..., :1] + small[..., 1:]  # `mean` along both axes takes 20 times as long
+    large = (pairs[:, :, :1] + pairs[:, :, 1:]) / 4
     return small - large, large - large.mean(axis=(1, 3), keepdims=True)

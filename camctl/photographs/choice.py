@@ -20,7 +20,7 @@ from camctl.exposure.search.settings import relative_exposures, search_choices
 from camctl.interface.controls import ExposureSetting
 from camctl.model.effective import MAX_EXPOSURES, EffectiveCamera
 from camctl.model.inverse import posterior_of
-from camctl.model.quantiles import NORMAL_MAD
+from camctl.model.quantiles import NORMAL_MAD, median
 from camctl.model.sensor import SensorModel
 from camctl.photographs.camera import PhotographCamera
 from camctl.pictures.render import DARK, sum_mask
@@ -69,7 +69,7 @@ def _noise_below_black(light: NDArray[np.float64]) -> float:
     standard deviation.  Fewer than the deepest dark change nothing, and may be faults of pixels.
     """
     below = -light[light < 0]
-    return float(np.median(below)) / NORMAL_MAD if below.size > _SHADOWS * light.size else 0.0
+    return median(below) / NORMAL_MAD if below.size > _SHADOWS * light.size else 0.0
 
 
 def plan_photographs(

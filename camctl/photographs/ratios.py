@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from camctl.calibration.limits import DARK
 from camctl.errors import DataError
-from camctl.evidence.patch_errors import median
 from camctl.evidence.patches import Patches
-from camctl.evidence.ratios import comparable_frames, estimate_ratios
+from camctl.evidence.ratios import estimate_comparable
 from camctl.findings import Detail, Finding
+from camctl.model.quantiles import median
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import FILE_OFFSET, SensorModel
 from camctl.photographs.camera import Photograph
@@ -130,7 +130,7 @@ def _pair_ratio(first: _Seen, second: _Seen, darkest: float = DARK) -> PairRatio
     cells = [each for each in cells if np.count_nonzero(each) >= _LEAST / 2]
     if not cells:
         return None
-    means, g = (np.array([float(np.median(each[of])) for of in cells]) for each in (logs, slopes))
+    means, g = (np.array([median(each[of]) for of in cells]) for each in (logs, slopes))
     rows = np.stack([np.ones(g.size), g], axis=1)
     weights = 1 / (np.square(_OWN * g) + _SCATTER**2)
     prior = np.diag([0.0, FILE_OFFSET**-2.0])
@@ -273,12 +273,11 @@ def corrected_exposures(
         most: the largest factor
     """
     result, factors = list(photographs), dict[int, float]()
-    shown = sorted(comparable_frames(patches, scale))
-    stated = [photographs[k].exposure for k in shown]
     try:
-        found = estimate_ratios([patches[k] for k in shown], stated, scale)
+        shown, found = estimate_comparable(patches, [each.exposure for each in photographs], scale)
     except DataError:
         return result, []
+    stated = [photographs[k].exposure for k in shown]
     # The unit is the median one: two that contradict are not averaged.
     changes = np.array(found.exposures) / stated
     unit = float(np.sort(changes)[(changes.size - 1) // 2])

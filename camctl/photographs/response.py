@@ -94,8 +94,12 @@ def known_controls(
     def score_of(known: ExposureControls, numbers: int) -> float:
         return score(*ratios.misfit(_lights(series, known), series.exposures, error), numbers)
 
-    scores = {key: score_of(each, 0) for key, each in standards.items()}
-    best = min(standards, key=lambda key: scores[key])
+    scores = {}
+    for key, each in standards.items():
+        scores[key] = score_of(each, 0)
+        if scores[key] == 0:  # none is better
+            break
+    best = min(scores, key=lambda key: scores[key])
     standard = replace(standards[best], response_origin=ResponseOrigin.MEASURED)
     if patches.has_cells and scores[best] == 0:  # an estimate, whose numbers count, is worse
         return standard, _FITTING.format(best[0])

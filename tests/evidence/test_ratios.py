@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from camctl.errors import DataError
 from camctl.evidence.patches import Patches, sample_patches
-from camctl.evidence.ratios import RatioEstimates, estimate_ratios
+from camctl.evidence.ratios import RatioEstimates, estimate_comparable, estimate_ratios
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import CameraResponse, linear_response, standard_response
 from camctl.model.sensor import SensorModel
@@ -145,6 +145,16 @@ def test_wrong_labels_do_not_matter() -> None:
     right = estimate_ratios(frames, list(true), SensorModel(real, 0), [NOISE] * 3)
     wrong = estimate_ratios(frames, [1.0, 0.1, 5.0], SensorModel(real, 0), [NOISE] * 3)
     assert errors(wrong, true) == pytest.approx(errors(right, true), abs=1e-12)
+
+
+def test_frames_without_light_in_common_are_left_out() -> None:
+    real, true = linear_response(8, phase=0.5), [0.25, 1e4, 1.0]
+    light = np.geomspace(0.05, 3, 40_000).reshape(200, 200)
+    frames = [shoot(light, each, real, seed=k) for k, each in enumerate(true)]
+    scale = SensorModel(real, 0)
+    used, found = estimate_comparable(frames, true, scale, [NOISE] * 3)
+    assert used == [0, 2]
+    assert found == estimate_ratios(frames[::2], true[::2], scale, [NOISE] * 2)
 
 
 def test_frames_that_share_no_neighbour_are_connected_through_others() -> None:

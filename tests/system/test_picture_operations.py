@@ -192,7 +192,7 @@ def test_values_of_a_table(kind: type, shape: tuple[int, ...], levels: int) -> N
 
 @pytest.mark.parametrize("kind", [np.uint8, np.int16, np.float32])
 @pytest.mark.parametrize("shape", [(5, 3), (600, 500), (500, 300, 3)])
-@pytest.mark.parametrize("levels", [4000, 65536])
+@pytest.mark.parametrize("levels", [200, 256, 4000, 65536])
 def test_values_of_a_wide_table(kind: type, shape: tuple[int, ...], levels: int) -> None:
     rng = np.random.default_rng(0)
     table: np.ndarray = rng.integers(0, 100, levels).astype(kind)

@@ -16,7 +16,7 @@ from camctl.calibration.response.matches import Matches
 from camctl.calibration.response.series import Series
 from camctl.errors import DataError
 from camctl.findings import Finding
-from camctl.model.quantiles import Z_95
+from camctl.model.quantiles import Z_95, median
 from camctl.model.response.camera import FloatArray
 from camctl.profiles.response import ResponseRecord
 
@@ -85,13 +85,11 @@ def check_frames(series: Series, *, has_chart: bool = False) -> None:
 def _check_order(series: Series, exposures: FloatArray) -> None:
     order = np.argsort(exposures)
     limit = 0.02 * (series.white - series.black)
+    middles = [median(each.mean(axis=1)) for each in series.patches]
     for short, long in pairwise(order.tolist()):
         if exposures[long] < 1.05 * exposures[short]:
             continue
-        difference = np.median(series.patches[short].mean(axis=1)) - np.median(
-            series.patches[long].mean(axis=1)
-        )
-        if difference > limit:
+        if middles[short] - middles[long] > limit:
             raise DataError(
                 f"{series.names[short]} is brighter than {series.names[long]}, though its exposure "
                 "is shorter",
@@ -257,7 +255,7 @@ def check_patches(series: Series, channel: str, fit: ResponseFit) -> None:
         scatter = (high - ratios[:, None] * low).std(axis=1) / high.mean(axis=1)
         curve = np.interp(pair.levels, fit.edges, fit.deviation).mean(axis=2)
         deviations = np.sqrt(scatter**2 / low.shape[1] + np.square(curve).sum(axis=0))
-        errors = np.abs(np.log(ratios / np.median(ratios)))
+        errors = np.abs(np.log(ratios / median(ratios)))
         share = float(np.mean(errors > _MOVED + Z_95 * deviations))
         if share > MOST_MOVED:
             names = f"{series.names[pair.short]} and {series.names[pair.long]}"

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.response.series import Neighbours, Series
-from camctl.evidence.patch_errors import median
-from camctl.model.quantiles import NORMAL_MAD
+from camctl.model.quantiles import NORMAL_MAD, median
 from camctl.model.response.camera import FloatArray
 
 #: Levels of a cell, of 256, fewest patches in one, and most of a pair of frames that are compared.
@@ -117,11 +116,12 @@ class PatchRatios:
             exposure_error: standard deviation of the logarithm of an exposure
         """
         total, cells = 0.0, 0
+        curves = [(light, np.gradient(np.log(np.maximum(light, 1e-12)))) for light in lights]
         for short, long in sorted({(pair.short, pair.long) for pair in self.pairs}):
             means, errors = [], []
             for pair in self.pairs:
                 if (pair.short, pair.long) == (short, long):
-                    found = self._cells(pair, lights[pair.channel % len(lights)])
+                    found = self._cells(pair, *curves[pair.channel % len(curves)])
                     means += found[0]
                     errors += found[1]
             if not means:
@@ -131,11 +131,18 @@ class PatchRatios:
             cells += len(means)
         return total, cells
 
-    def _cells(self, pair: _Patches, light: FloatArray) -> tuple[list[float], list[float]]:
-        """Return the mean logarithm of the ratio of light in each cell, and its error."""
+    def _cells(
+        self, pair: _Patches, light: FloatArray, slope: FloatArray
+    ) -> tuple[list[float], list[float]]:
+        """Return the mean logarithm of the ratio of light in each cell, and its error.
+
+        Args:
+            pair: of frames
+            light: of each brightness
+            slope: of its logarithm
+        """
         found = np.maximum(light[pair.levels].mean(axis=2), 1e-12)
         logs = np.log(found[1] / found[0])
-        slope = np.gradient(np.log(np.maximum(light, 1e-12)))
         block = self.unit * SHARED_LEVELS
         shared = np.hypot(*(block * slope[each] for each in pair.middle))
         means, errors = [], []

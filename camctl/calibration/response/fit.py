@@ -37,8 +37,7 @@ from camctl.calibration.response.colours import NUMBERS, score
 from camctl.calibration.response.matches import LEAST_PIXELS, NOISE_STEPS, Matches
 from camctl.calibration.response.spline import COEFFICIENTS, Knots, ascending
 from camctl.errors import DataError
-from camctl.evidence.patch_errors import median
-from camctl.model.quantiles import NORMAL_MAD
+from camctl.model.quantiles import NORMAL_MAD, median
 from camctl.model.response.camera import FloatArray
 
 #: Size of a difference (in standard deviations of the prior) from which it counts as a bend.  A
@@ -408,7 +407,8 @@ def _priors(matches: Matches, logs: FloatArray, edges: FloatArray) -> Sequence[_
         return [_FEW_LEVELS]
     groups = connected(matches, logs.size)
     steps = np.concatenate([np.diff(np.unique(logs[group])) for group in groups])
-    return _FAR_APART if np.median(steps) > math.log(_FAR) else [_MANY_LEVELS]
+    is_far = steps.size > 0 and median(steps) > math.log(_FAR)
+    return _FAR_APART if is_far else [_MANY_LEVELS]
 
 
 def connected(matches: Matches, count: int) -> list[NDArray[np.intp]]:

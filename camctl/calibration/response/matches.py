@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import DataError
+from camctl.model.quantiles import median
 from camctl.model.response.camera import FloatArray, srgb_to_linear
 from camctl.model.sensor import CLIPPING_SIGMAS
 
@@ -219,7 +220,7 @@ def neighbour_steps(
             yield dark, bright, None
             continue
         steps = np.log(srgb_to_linear(nodes[used] / levels) / srgb_to_linear(low[used] / levels))
-        yield dark, bright, float(np.median(steps))
+        yield dark, bright, median(steps)
 
 
 def _below(counts: NDArray[Any], edges: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -22,6 +22,7 @@ from camctl.evidence.shown_levels import level_finding, saturation_level
 from camctl.evidence.unknown_response import moved_samples
 from camctl.findings import Finding
 from camctl.interface.controls import Layout
+from camctl.model.quantiles import median
 from camctl.model.response.camera import FloatArray, linear_response, phase_of_black
 from camctl.model.sensor import CLIPPING_SIGMAS, SensorModel
 from camctl.system.picture_operations import level_counts, plane_by_plane
@@ -249,7 +250,7 @@ class Series:
             members = band == place
             if np.count_nonzero(members) >= LEAST_PATCHES:
                 quarter, half = np.quantile(variance[members], (0.25, 0.5))
-                middle = float(np.median(mean[members]))
+                middle = median(mean[members])
                 is_noise = half <= _NOISE_ALONE * quarter
                 if not is_noise or CLIPPING_SIGMAS * math.sqrt(quarter) < middle:
                     return middle if is_clipped else 0.0
