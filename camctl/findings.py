@@ -72,7 +72,7 @@ CODES: Final[dict[str, str]] = {
     "empty": "nothing: it has one colour everywhere",
     "exposure_corrected": "largest factor by which an exposure was corrected from the pixels",
     "label_unchecked": "nothing: nothing shows whether its exposure is right",
-    "label_unit": "nothing: the times are taken for labels of a dial",
+    "label_unit": "nothing: the times are taken for nominal shutter speeds",
     "label_wrong": "exposure in the pixels over the stated one",
     "labels_contradict": "ratio of the light of two photographs over the ratio of their exposures",
     "labels_swapped": "nothing: `frames` are the two photographs",

@@ -17,6 +17,7 @@ from camctl.cli import main
 
 ROOT = Path(__file__).parents[1]
 PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md")))
+TUTORIAL = ROOT / "docs/tutorials/first-pictures.md"
 API = ROOT / "docs/reference/api.md"
 _BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"\]\((?!https?://)([^)#\s]+)(?:#[^)]*)?\)")
@@ -65,6 +66,20 @@ def test_the_python_example_of_the_readme_runs(
     assert 50 < int(printed[1].removeprefix("effective levels with noise ")) < 100
     assert "(768, 1024, 3)" in printed[2]
     assert {path.name for path in (tmp_path / "room").iterdir()} >= {"radiance.exr", "report.json"}
+
+
+def test_the_exposures_for_the_tile_floor_are_those_that_are_chosen() -> None:
+    request = camctl.CaptureRequest(response="log", dynamic_range="medium", count=3)
+    with camctl.open_camera("sim", scene="tile-floor", sensor="ideal-6") as camera:
+        plan = camctl.plan_capture(camera, request)
+    for page, ratios in (
+        (PAGES[0], r"exposures 1, ([\d.]+), ([\d.]+), chosen"),
+        (TUTORIAL, r"now 1, ([\d.]+) and ([\d.]+) times"),
+    ):
+        ((second, third),) = re.findall(ratios, page.read_text("utf-8"))
+        assert (float(second), float(third)) == pytest.approx(plan.exposures[1:], rel=0.01)
+    levels = re.findall(r"([\d.]+) with noise, .* \(planned", TUTORIAL.read_text("utf-8"))
+    assert float(levels[1]) == pytest.approx(plan.effective_levels, rel=0.001)
 
 
 @pytest.mark.parametrize(("page", "arguments"), list(commands()), ids=lambda value: str(value)[:60])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -109,12 +111,21 @@ def run_menu(
         return CameraJob(open_camera, parent, _settings_path(settings), request=wanted, sight=sight)
 
     camera.source()
+    _check_folder(parent)
     _entry_point("camera", CAMERAS, camera.camera_id.partition(":")[0])
     last = run(make_panel(), make_job)
     if last is not None:
         for note in last.notes:
             print_warning(note)
         print_text(f"the last picture is in {visible(last.folder)}")
+
+
+def _check_folder(parent: Path) -> None:
+    """Raise `StorageError` where no folder can be at the path: before anything is shot for it."""
+    if not all(each.is_dir() for each in (parent, *parent.parents) if each.exists()):
+        from camctl.system.files import storage_error
+
+        raise storage_error(parent, NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR)))
 
 
 def _panel(panel_id: str) -> Panel:

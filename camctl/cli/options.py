@@ -149,8 +149,8 @@ TIMES_OPTION = option(
 )
 DIAL_TIMES_OPTION = option(
     "--times SECONDS,...",
-    "Shutter time of each of FILES: exact as numbers such as 0.033, labels of a dial as fractions "
-    "such as 1/30,1/15.  [default: from their EXIF data]",
+    "Shutter time of each of FILES: exact as numbers such as 0.033, nominal shutter speeds as "
+    "fractions such as 1/30,1/15.  [default: from their EXIF data]",
     ListOf(Seconds(fractions=True)),
 )
 BLACK_OPTION = option(

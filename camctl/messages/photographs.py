@@ -268,7 +268,7 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
     ),
     "label_unchecked": _label_unchecked,
     "label_unit": lambda finding: (
-        f"the times are taken for labels of a dial: {finding.details['times']}"
+        f"the times are taken for nominal shutter speeds: {finding.details['times']}"
     ),
     "label_wrong": _label_wrong,
     "labels_contradict": _labels_contradict,

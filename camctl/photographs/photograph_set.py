@@ -65,7 +65,7 @@ class PhotographOptions:
         times: shutter times of the files, s, in their order, a `Fraction` as a person types it
             from a dial; None: as their EXIF data state them, from which ISO and f-number are in
             any case
-        labels: "dial": the times are labels of a dial, whose 1/60 is 1/64 s; "exact": they are
+        labels: "dial": the times are nominal shutter speeds, 1/60 means 1/64 s; "exact": they are
             not, and are not corrected from the pixels, either; "pixels": they are rough, and
             estimated from the pixels; "auto": numbers in `times` are exact, and fractions in it
             or EXIF data are labels where all of them are usual ones
@@ -398,14 +398,14 @@ def _with_labels(
     if changed is None:
         if is_dial:
             raise UsageError(
-                "the times are not the labels of a dial",
+                "the times are not nominal shutter speeds",
                 hint="take them for exact",
                 remedies={"labels": "exact"},
             )
         return photographs, []
     pairs = list(
         dict.fromkeys(  # ISO or aperture brackets have one time
-            f"{time_text(before.time_s)} is {time_text(after.time_s)}"
+            f"{time_text(before.time_s)} means {time_text(after.time_s)}"
             for before, after in zip(photographs, changed, strict=True)
             if abs(after.time_s / before.time_s - 1) > 1e-3
             and time_text(after.time_s) != time_text(before.time_s)

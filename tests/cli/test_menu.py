@@ -36,6 +36,16 @@ def test_usage_error_of_menu_is_one_line(run: Run, option: str, value: str, mess
     assert ran.status == 2
 
 
+@pytest.mark.parametrize("folder", ["picture.png", "picture.png/in"])
+def test_a_file_in_place_of_the_folder_is_refused_before_anything_is_shot(
+    run: Run, folder: str
+) -> None:
+    Path("picture.png").touch()
+    ran = run("menu", *SMALL, "-o", folder)
+    advice = "a part of the path is a file; choose another folder (-o PATH)"
+    assert (ran.status, ran.error) == (1, f"cannot write {folder}: {advice}")
+
+
 def test_menu_shoots_into_the_given_folder(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     def shoot_at_once(panel: object, make_job: Callable[[], Job]) -> Summary:
         job = make_job()

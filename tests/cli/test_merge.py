@@ -99,7 +99,7 @@ def test_colours_of_jpeg_photographs_are_those_of_the_scene(run: Run) -> None:
         ),
         ("missing.png p01.png --times 1,2", "cannot read missing.png"),
         ("p00.png p01.png --times 1,2 --white 10 --black 20", "invalid levels: black 20"),
-        ("p00.png p01.png --times 1.234,2 --labels dial", "the times are not the labels"),
+        ("p00.png p01.png --times 1.234,2 --labels dial", "the times are not nominal shutter"),
         ("p00.png p01.png --times 1,2 --curve nothing", "unknown camera response 'nothing'"),
         (
             "p00.png p01.png --times 1,2 --curve srgb --ratios 1,1.1",

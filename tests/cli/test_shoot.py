@@ -400,3 +400,17 @@ def test_what_is_no_capture_is_not_resumed(run: Run, folder: str, message: str) 
     Path("damaged/report.json").write_text('{"status": "complete"}')
     ran = run("resume", folder)
     assert (ran.status, message in ran.error) == (1, True)
+
+
+@pytest.mark.parametrize(
+    ("ratios", "row"),
+    [
+        ("1", None),  # one frame is its own sum
+        ("1,2", "estimated from all frames; computed from their sum, it would be as accurate"),
+    ],
+)
+def test_the_summary_compares_the_light_with_the_light_of_a_sum(
+    run: Run, ratios: str, row: str | None
+) -> None:
+    ran = run("shoot", *SMALL, "-O", "sensor=ideal-6", "--base", "0.02", "--ratios", ratios)
+    assert re.findall(r"^radiance +(.*)$", ran.out, re.MULTILINE) == ([row] if row else [])

@@ -111,7 +111,7 @@ _PHOTOGRAPHS = (
     Finding(code="label_unchecked", frames=(0,), details={"file": "a.jpg"}),
     Finding(
         code="label_unit",
-        details={"times": "1/60 s is 1/64 s, 1/15 s is 1/16 s"},
+        details={"times": "1/60 s means 1/64 s, 1/15 s means 1/16 s"},
         remedies={"labels": "exact"},
     ),
     Finding(

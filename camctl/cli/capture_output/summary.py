@@ -236,11 +236,17 @@ def _levels_rows(achieved: Achieved, plan: CapturePlan) -> list[tuple[str, str]]
             rows.append(
                 ("  from the pixels", f"{levels} with the noise {_measured_text(measured)}")
             )
-    if achieved.gain_over_sum is not None:
-        times = format_number(achieved.gain_over_sum, 3)
-        text = f"estimated from all frames; the light of their sum has {times} times its error"
-        rows.append(("radiance", text))
+    if achieved.gain_over_sum is not None and len(plan.exposures) > 1:
+        rows.append(("radiance", _radiance_text(achieved.gain_over_sum)))
     return rows
+
+
+def _radiance_text(gain: float) -> str:
+    """Return how the light was computed, and what the inverse of the sum would make of it."""
+    times = format_number(gain, 3)
+    is_alike = times == "1"
+    than = "it would be as accurate" if is_alike else f"its error would be {times} times as large"
+    return f"estimated from all frames; computed from their sum, {than}"
 
 
 def _measured_text(measured: MeasuredNoise) -> str:
