@@ -44,9 +44,11 @@ _LAST, _IS_ALIKE, _WEIGHTS, _OWN, _SHARED, _COUNT = _starts(0, 6)
 _NOISE, _STEP, _WEIGHT, _LIMIT, _SQUARE, _BEFORE, _BRIGHT, _MOST, _LESS = _starts(6, 15)
 #: Of samples, four each: sums, and the variance of light that frames lose.
 _ABOVE, _SQUARES, _LOST = _starts(15, 27, 4)
-#: Of cells: whether another colour hides a sample, and whether all frames are saturated.
-_IS_MIXED, _IS_WHITE = _starts(27, 29)
-_ROWS = 29
+#: Of cells: whether another colour hides a sample, and that in a frame that may saturate one, and
+#: whether all frames are saturated; the variance of a sample by the light of the cell, where one is
+#: hidden.
+_IS_HIDDEN, _IS_MIXED, _IS_WHITE, _BOTH = _starts(27, 31)
+_ROWS = 31
 
 ALIKE, KEPT, WHITE, BY_SAMPLE, OTHER, MIXED = (np.uint8(x) for x in range(6))
 """Kinds of cells: frames are alike for all samples; not chosen; all frames are saturated; samples
@@ -146,14 +148,15 @@ class Lanes(NamedTuple):
 @_compiled
 def _begin(cells: Cells, tables: Tables, lanes: Lanes, start: np.uint64, count: np.uint64) -> int:
     """Set which frames of cells are looked at, and which cells are mixed; return their number."""
-    rows, light, top, most = lanes.rows, cells.light, tables.ends[2], _ONE
+    rows, light, most = lanes.rows, cells.light, _ONE
+    top, reach = tables.ends[2], tables.ends[4]
     for row in (_WEIGHTS, _OWN, _SHARED, _COUNT):
         for j in range(count):
             rows[row + j] = _ZERO
     for j in range(_THREE * _FOUR * _ROW):
         rows[_ABOVE + j] = _ZERO
     for j in range(count):
-        rows[_LAST + j], rows[_IS_MIXED + j] = _ONE, _ZERO
+        rows[_LAST + j], rows[_IS_HIDDEN + j], rows[_IS_MIXED + j] = _ONE, _ZERO, _ZERO
     for each in range(len(tables.order)):
         at = tables.order[each]
         for j in range(count):
@@ -164,9 +167,15 @@ def _begin(cells: Cells, tables: Tables, lanes: Lanes, start: np.uint64, count: 
             )
             is_seen = min(one, two) <= top
             hides = hidden[at, 0, c] | hidden[at, 1, c] | hidden[at, 2, c] | hidden[at, 3, c]
+            brightest = max(
+                max(values[at, 0, c], values[at, 1, c]), max(values[at, 2, c], values[at, 3, c])
+            )
+            hides &= is_seen
+            may_be_white = hides & (brightest > top - reach * cells.errors[at, c])
             rows[_LAST + j] = np.float32(each + 1) if is_seen else rows[_LAST + j]
-            rows[_IS_MIXED + j] = _ONE if is_seen & hides else rows[_IS_MIXED + j]
-    at, reach = tables.order[0], tables.ends[4]
+            rows[_IS_HIDDEN + j] = _ONE if hides else rows[_IS_HIDDEN + j]
+            rows[_IS_MIXED + j] = _ONE if may_be_white else rows[_IS_MIXED + j]
+    at = tables.order[0]
     for j in range(count):
         c, values = start + j, cells.values
         lowest = min(
@@ -205,6 +214,7 @@ def _weigh(
         spread = np.sqrt(known * known + both)
         rows[_WEIGHT + j], rows[_LIMIT + j] = weight, top - reach * levels
         rows[_SQUARE + j], rows[_BEFORE + j] = levels * levels + offset, weights
+        rows[_BOTH + j] = both if rows[_IS_HIDDEN + j] > _ZERO else _BEYOND
         is_used = (weight * weight > _ZERO) & (weights > _ZERO)
         rows[_BRIGHT + j] = full * _QUARTER * weights if is_used else _INFINITE
         rows[_MOST + j], rows[_LESS + j] = (
@@ -244,7 +254,8 @@ def _add(
         above, lost = rows[above_k + j], rows[lost_k + j]
         value = np.float32(cells.values[at, k, start + j])
         differs = (value > rows[_LIMIT + j]) | (shown[i + _THREE] < lost)
-        differs |= off * off > reach * (square * rows[_SQUARE + j] + noise)
+        variance = min(square * rows[_SQUARE + j] + noise, rows[_BOTH + j])
+        differs |= off * off > reach * variance
         dark = sample * rows[_BEFORE + j] < above - rows[_LESS + j]
         differs |= (above > rows[_BRIGHT + j]) & ((above > rows[_MOST + j]) | dark)
         differs &= rows[_LAST + j] > frame

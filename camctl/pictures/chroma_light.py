@@ -212,8 +212,10 @@ def _join_cells(
     found: CellsLight,
 ) -> None:
     """Find the light of chosen cells; that of those that another colour hides sample by sample."""
-    is_saturated = (cells.values > tables.sensor.highest(None)).all(axis=1)
-    mixed = np.asarray((cells.hidden.any(axis=1) & ~is_saturated).any(axis=0))
+    top = tables.sensor.highest(None)
+    may_be_white = _above(cells.values.max(axis=1), top - REACH * cells.errors)
+    may_be_white &= cells.values.min(axis=1) <= top  # else all of the cell is
+    mixed = np.asarray((cells.hidden.any(axis=1) & may_be_white).any(axis=0))
     found.light[...], found.deviation[...] = cells.light, cells.deviation
     found.common[...], found.scatter[...] = cells.common, 0
 
@@ -225,14 +227,13 @@ def _join_cells(
             return plane.reshape(shape).take(places, axis=-1)
 
         seen, of_cells = [here(each) for each in cells.values], places % chosen.size
-        order = _seeing(tables.exposures, seen, tables.sensor.highest(None))
+        order = _seeing(tables.exposures, seen, top)
         joined, is_even = _joined(
             tables,
             {at: seen[at] for at in order},
             {at: cells.errors[at].take(of_cells) for at in order},
             {at: cells.of_chroma[at].take(of_cells) for at in order},
-            # Where another colour of a whole cell is saturated, all of the cell is.
-            {} if by_cell else {at: here(cells.hidden[at]) for at in order},
+            {at: here(cells.hidden[at]) for at in order},
             (here(cells.light), here(cells.deviation), cells.common.take(of_cells)),
             by_cell=by_cell,
         )
@@ -377,7 +378,7 @@ def _joined(
         values: of some frames, from the shortest to the longest, of cells (4, C) or samples (S,)
         errors: standard deviations of the errors that frames have in common, levels, (C,) or (S,)
         of_chroma: variances of those by fewer samples of colours alone
-        hidden: whether another colour of the pixel is saturated; none: no more than the own one
+        hidden: whether another colour of the pixel is saturated
         first: light and deviation without these errors, and what they add to it
         by_cell: with the noise of a cell's mean light, whose errors choose weights less
     """
@@ -385,7 +386,7 @@ def _joined(
     saturated = {at: _above(each, top - REACH * errors[at]) for at, each in values.items()}
     light = first[0]
     samples = {at: looked_up(tables.irradiance[at], each) for at, each in values.items()}
-    unseen = {at: each | hidden[at] for at, each in saturated.items()} if hidden else saturated
+    unseen = {at: each | hidden[at] for at, each in saturated.items()}
     apart, least_errors = _contradiction(tables, samples, values, (errors, of_chroma), unseen)
     is_dim, is_unseen = ({at: bool(x.any()) for at, x in e.items()} for e in (saturated, unseen))
     is_even = np.ones(light.shape[-1], np.bool_)
