@@ -11,6 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import Camera, CameraInfo, FrameStream
 from camctl.interface.clock import Clock
 from camctl.interface.controls import Control, ExposureControls, ExposureSetting
@@ -18,6 +19,9 @@ from camctl.records.report import CaptureReport
 from camctl.sim.camera import Faults, SimulatedCamera
 from camctl.sim.scenes.scene import Scene
 from camctl.sim.sensors.sensor import Sensor, load_sensor
+
+#: For live results: exposures that need no metering, and so follow no light.
+GIVEN = CaptureRequest(base_s=0.004, ratios=(1, 4, 16), response="log", dynamic_range=256)
 
 
 def gradient(rows: int = 60, columns: int = 80, low: float = 1e-3) -> NDArray[np.float32]:

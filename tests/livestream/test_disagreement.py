@@ -5,18 +5,15 @@ from __future__ import annotations
 from itertools import islice
 
 import pytest
-from small_cameras import gradient
+from small_cameras import GIVEN, gradient
 
 import camctl
 from camctl.evidence.ratio_check import RatioCheck
-from camctl.exposure.goal import CaptureRequest
 from camctl.livestream.disagreement import OtherExposures
 from camctl.messages.plain import sentence
 from camctl.sim.camera import Faults, SimulatedCamera
 from camctl.sim.scenes.scene import Scene
 from camctl.sim.sensors.sensor import load_sensor
-
-GIVEN = CaptureRequest(base_s=0.004, ratios=(1, 4, 16), response="log", dynamic_range=256)
 
 
 @pytest.mark.parametrize(
