@@ -42,6 +42,8 @@ def checked_frames(
     frames: Iterable[ArrayLike], exposures: Sequence[float]
 ) -> tuple[list[NDArray[Any]], list[float]]:
     """Return the frames as arrays, and their exposures."""
+    if not isinstance(frames, Iterable):
+        raise UsageError(f"invalid frames {frames!r}: expected a list of arrays")
     given = list(frames)
     if any(np.ma.is_masked(each) for each in given):
         raise DataError(

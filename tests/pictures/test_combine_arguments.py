@@ -86,6 +86,10 @@ def test_frames_are_unsigned_and_of_one_shape(frames: list[NDArray[Any]], words:
         camctl.combine(frames, list(range(1, len(frames) + 1)))
 
 
-def test_no_frame_is_no_picture() -> None:
-    with pytest.raises(camctl.UsageError, match="0 for 0 frames"):
-        camctl.combine([], [])
+@pytest.mark.parametrize(
+    ("frames", "words"),
+    [([], "0 for 0 frames"), (None, "invalid frames None: expected a list of arrays")],
+)
+def test_no_frame_is_no_picture(frames: Any, words: str) -> None:
+    with pytest.raises(camctl.UsageError, match=words):
+        camctl.combine(frames, [])
