@@ -1,7 +1,7 @@
 """Draw the contact sheets of the built-in scenes: ``python docs/draw_contact_sheets.py``.
 
 Each is the contact.png of one simulated capture, reduced in size and in colours.
-room-responses.png is the picture of ``camctl shoot --preview-only``.  previews.png shows each scene
+room-responses.png is the picture of ``camctl preview``.  previews.png shows each scene
 as image.tiff, by three tone mappers of OpenCV, and as preview.png.  Where $CAMCTL_DATA/memorial
 holds Debevec and Malik's photographs, memorial.png is the sheet of ``camctl merge`` with all of
 them, and previews.png has a row of them, too.

@@ -11,7 +11,7 @@ import click
 from camctl.cli.configuration import Defaults
 from camctl.cli.old_options import new_command, new_options
 from camctl.cli.output import logged_warnings, print_text, print_warning
-from camctl.errors import UsageError, unknown_name, visible
+from camctl.errors import CamctlError, UsageError, unknown_name, visible
 
 DEBUG_KEY = "camctl.debug"
 """Key in a context's `meta` that is present where the user asked for tracebacks."""
@@ -113,11 +113,19 @@ class Command(click.Command):
                     formatter.write_text(f"    {explanation}" if is_short else explanation)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; what it logs is printed as warnings."""
+        """Run the command; what it logs is printed as warnings.
+
+        An error of a file names -o only where the command has it.
+        """
         if isinstance(self, click.Group):
             return super().invoke(ctx)
         with logged_warnings():
-            return super().invoke(ctx)
+            try:
+                return super().invoke(ctx)
+            except CamctlError as error:
+                if not any("-o" in each.opts for each in self.params):
+                    error.remedies.pop("directory", None)
+                raise
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse; raise `UsageError` with similar names or with the help page to read."""

@@ -56,7 +56,8 @@ class ImagePanel:
         try:
             make_folder(self.folder)
         except OSError as error:
-            raise storage_error(self.folder, error) from error
+            found = storage_error(self.folder, error)
+            raise StorageError(found.what, hint=found.hint) from error  # -o is the captures' folder
         if not self.folder.is_dir():
             raise StorageError(f"{self.folder} is no folder", hint="choose another one")
         return self

@@ -443,3 +443,20 @@ def test_closed_output_is_not_an_internal_error(line: str) -> None:
         assert done.stderr.startswith("camctl: invalid value for --ratios: 0;")
     else:
         assert (done.returncode, done.stderr) == (1, "")
+
+
+@pytest.mark.parametrize(
+    ("line", "advice"),
+    [
+        ("shoot -O size=64x48 -o file/new", "choose another folder (-o PATH)"),
+        ("cameras --record file/new", "choose another folder"),
+        ("menu --panel image:file/new", "choose another folder"),  # -o is for captures
+    ],
+)
+def test_an_error_of_a_file_names_the_option_for_this_file(
+    run: Run, line: str, advice: str
+) -> None:
+    pathlib.Path("file").touch()
+    ran = run(*line.split())
+    reason = "cannot write file/new: a part of the path is a file"
+    assert (ran.status, ran.error) == (1, f"{reason}; {advice}")
