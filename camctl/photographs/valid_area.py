@@ -67,8 +67,8 @@ class ValidArea:
             if transparent is not None:
                 invalid |= transparent
                 by = "alpha"
-            else:
-                invalid |= invalid_border(files.pixels(position))
+            elif (border := invalid_border(files.pixels(position))) is not None:
+                invalid |= border
         if not invalid[inner].any():
             rows, columns = (_from_even(each, step) for each in inner)
             return cls(rows, columns, None, None, ())
@@ -172,19 +172,19 @@ def _nearest(invalid: NDArray[np.bool_], step: int) -> tuple[NDArray[np.intp], N
     return near[:, 0] + row % step, near[:, 1] + column % step
 
 
-def invalid_border(pixels: Pixels) -> NDArray[np.bool_]:
+def invalid_border(pixels: Pixels) -> NDArray[np.bool_] | None:
     """Return which pixels lie in a border of one pure colour, as programs that align leave it.
 
-    A pure colour has samples of 0 and of the largest code only, and is not black or white.
+    None where there is no border.  A pure colour has samples of 0 and of the largest code only, and
+    is not black or white.
     """
     import cv2
 
-    shape = pixels.shape[:2]
     if pixels.ndim == 2:
-        return np.zeros(shape, np.bool_)
+        return None
     edges = (pixels[:1], pixels[-1:], pixels[:, :1], pixels[:, -1:])
     if max(float(np.mean(_is_pure(edge))) for edge in edges) < _BORDER_SHARE:
-        return np.zeros(shape, np.bool_)
+        return None
     pure = _is_pure(pixels)
     _, labels = cv2.connectedComponents(pure.astype(np.uint8), connectivity=8)
     touching = np.unique(np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1])))

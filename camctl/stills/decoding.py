@@ -215,7 +215,7 @@ def _read_jpeg(data: bytes, name: str) -> Still:
     if (zeros := structure.zeros(data)) is not None:
         known = JpegStructure.of(data[:zeros]).undamaged_rows(data[:zeros], _printed)
         raise _damaged(name, f"its data from row {known} of {rows} on are damaged (zeros)")
-    still, text = with_messages(lambda: _decode(data, name))
+    still, text = with_messages(lambda: _decode(data, name, is_colour=structure.is_colour))
     still = replace(
         still,
         few_chroma_samples=structure.few_chroma_samples,
@@ -259,15 +259,19 @@ def _read_png(data: bytes, name: str) -> Still:
     raise _damaged(name, CUT_SHORT)
 
 
-def _decode(data: bytes, name: str) -> Still:
+def _decode(data: bytes, name: str, *, is_colour: bool = False) -> Still:
+    """Return what OpenCV decodes; of a JPEG file of colours `is_colour` saves a pass over it."""
     cv2 = required_opencv("decoding JPEG, PNG and TIFF files of cameras")
+    flags = cv2.IMREAD_UNCHANGED
+    if is_rgb := is_colour and hasattr(cv2, "IMREAD_COLOR_RGB"):  # from OpenCV 4.11 on
+        flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
         raise _damaged(name, error.err or "OpenCV cannot decode it") from None
     if image is None:
         raise _damaged(name, "OpenCV cannot decode it")
-    if image.ndim == 3 and image.shape[2] in (3, 4):
+    if not is_rgb and image.ndim == 3 and image.shape[2] in (3, 4):
         rgb = cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGBA
         image = cv2.cvtColor(image, rgb, image)  # in place: a third of the time
     return _full_range(np.asarray(image), name)

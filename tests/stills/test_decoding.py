@@ -119,6 +119,14 @@ def test_the_channels_of_a_jpeg_are_red_green_blue(name: str) -> None:
     assert still.pixels[4, 4].argmax() == RGB8[4, 4].argmax()
 
 
+def test_a_jpeg_has_the_same_samples_without_a_newer_opencv(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    here = read_still(FILES["a.jpg"], "a.jpg").pixels
+    monkeypatch.delattr(cv2, "IMREAD_COLOR_RGB", raising=False)  # before 4.11
+    assert np.array_equal(read_still(FILES["a.jpg"], "a.jpg").pixels, here)
+
+
 def test_zeros_after_the_end_of_a_jpeg_are_ignored() -> None:
     still = read_still(FILES["g.jpg"] + bytes(10_000), "g.jpg")
     assert still.layout is Layout.MONO
