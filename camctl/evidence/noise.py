@@ -25,7 +25,7 @@ from camctl.evidence.patch_noise import (
     VarianceModel,
     electrons_per_level,
 )
-from camctl.evidence.patches import Patches
+from camctl.evidence.patches import Patches, marked_samples
 from camctl.model.block_rounding import BlockRounding
 from camctl.model.distribution import most_read_noise
 from camctl.model.effective import EffectiveCamera
@@ -419,9 +419,9 @@ def _pair(
     usable = np.maximum(*samples) <= sensor.highest(None)
     # A file spreads over a block what saturation does to some of it.
     least = (LEAST_USABLE if model.file is None else 1.0) * usable.shape[1]
-    chosen = np.flatnonzero(np.count_nonzero(usable, axis=1) >= least)
+    chosen = np.flatnonzero(marked_samples(usable) >= least)
     usable = usable[chosen]
-    count, counted = np.count_nonzero(usable, axis=1), usable.astype(np.float64)
+    count, counted = marked_samples(usable), usable.astype(np.float64)
 
     def mean(values: _Floats) -> _Floats:
         return np.asarray(np.einsum("ps,ps->p", values, counted) / np.maximum(count, 1))

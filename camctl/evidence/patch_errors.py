@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.evidence.patches import Patches
+from camctl.evidence.patches import Patches, marked_samples
 from camctl.model.quantiles import NORMAL_MAD, median, median_of_ascending
 from camctl.model.sensor import RESPONSE_ERROR, Prediction, SensorModel
 from camctl.system.picture_operations import looked_up
@@ -100,7 +100,7 @@ class PatchErrors:
             least: share of the samples of a patch that must be in range in both
         """
         usable = (before < saturated[0]) & (after < saturated[1])
-        number = np.count_nonzero(usable, axis=1)
+        number = marked_samples(usable)
         kept = number >= max(least * usable.shape[1], 1)
         if rests is not None:
             kept &= rests

@@ -26,6 +26,7 @@ from camctl.model.noise import FrameNoise
 from camctl.model.quantiles import Z_95, median, student
 from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import CLIPPING_SIGMAS, SensorModel
+from camctl.system.picture_operations import looked_up
 
 #: Fewer common patches do not connect two frames: with 16 a bracket is refused whose ratios 12
 #: give within 0.3 % (`tests/bench/bench_exposure_ratios.py`).
@@ -213,7 +214,7 @@ class _Observations:
         columns, photons = [], []
         limit = scale.light[scale.highest(None)] if noise is None else scale.full
         for frame, each in zip(frames, noise or [_UNKNOWN_NOISE] * len(frames), strict=True):
-            values, mean = scale.light[frame], frame.mean(axis=1)
+            values, mean = looked_up(scale.light, frame), frame.mean(axis=1)
             light = values.mean(axis=1)
             middle = np.clip(np.rint(mean).astype(np.intp), 0, scale.white)
             gap = np.maximum(scale.gap[middle], scale.level / 1000)

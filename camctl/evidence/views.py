@@ -27,6 +27,7 @@ from camctl.evidence.unknown_response import deviating_patches
 from camctl.findings import Finding
 from camctl.model.quantiles import median
 from camctl.model.sensor import FILE_OFFSET, JPEG_ERROR
+from camctl.system.picture_operations import looked_up
 
 #: Samples on each side of a square that is averaged, against noise.
 _POOLED = 2
@@ -250,7 +251,7 @@ class _Contrasts:
         for short, long in zip(dark, bright, strict=True):
             usable = np.flatnonzero(long.is_unsaturated & short.is_lit)
             matched = np.interp(long.ranks, short.ranks, np.arange(white + 1))
-            expected = _structure(matched.take(long.patches[usable]))
+            expected = _structure(looked_up(matched, long.patches[usable]))
             for size, (one, other) in enumerate(zip(short.structure, expected, strict=True)):
                 variance = np.mean(other**2, axis=(1, 2, 3, 4))
                 # Structure that only the darker one has may be its noise.

@@ -25,6 +25,7 @@ from camctl.model.sensor import SensorModel
 from camctl.photographs.camera import PhotographCamera
 from camctl.pictures.render import DARK, sum_mask
 from camctl.records.capture_plan import CapturePlan
+from camctl.system.picture_operations import looked_up
 
 #: Share of the light of a scene that is below its range: the deepest dark.
 _SHADOWS = 0.005
@@ -53,7 +54,7 @@ def darkest_light(camera: PhotographCamera, patches: Sequence[Patches]) -> float
         light = np.full(parts[0].size, np.nan)
         for position in np.argsort(times)[::-1].tolist():
             brightness = np.minimum(parts[position], scale.white).ravel()
-            seen = scale.light[brightness]
+            seen = looked_up(scale.light, brightness)
             use = np.isnan(light) & (brightness <= scale.highest(None))
             least = max(scale.level * max(0.5, read), _noise_below_black(seen))
             light[use] = np.maximum(seen[use], least) / times[position]

@@ -269,7 +269,8 @@ def level_counts(
         where: which samples count, in their shape; None: all
     """
     counts = np.zeros(levels, np.int64)
-    cv2 = opencv() if samples.itemsize <= 2 else None
+    # OpenCV takes longer for samples of which about each has a level of its own.
+    cv2 = opencv() if samples.itemsize <= 2 and samples.size >= 2 * levels else None
     rows = max(1, _COUNTED // (samples.size // len(samples)))
     for start in range(0, len(samples), rows):
         part = samples[start : start + rows]
