@@ -41,7 +41,7 @@ def plain_light(tables: LightTables, deviation: NDArray[np.floating[Any]]) -> Pl
     others = tables.is_exact | np.isnan(deviation)
     if not has_compiler() or others.all():
         return None
-    from camctl.model.compiled_plain import mean, tables_of
+    from camctl.model.compiled_mean import mean, tables_of
 
     of_frames = tables_of(tables, others)
 
@@ -55,8 +55,9 @@ def plain_light(tables: LightTables, deviation: NDArray[np.floating[Any]]) -> Pl
         for start in range(0, total.size, _BLOCK):
             part = slice(start, start + _BLOCK)
             some = np.array([each[part] for each in values])
-            places = mean(some, total[part], of_frames, light[part], deviation[part])
-            found.append(places + start)
+            is_other = mean(some, of_frames, light[part], deviation[part])
+            is_other |= np.isnan(deviation[part])
+            found.append(np.flatnonzero(is_other) + start)
         return np.concatenate(found)
 
     return plain

@@ -129,17 +129,12 @@ def _first_light(
     if compiled is None:
         found = estimate(list(samples), samples.sum(axis=0, dtype=np.uint32))
     else:
-        *found, special, white = compiled.mean(tables, samples)
-        if unknown.any():
-            found[1][unknown.take(tables.bins(found[0]))] = np.nan
-        # What is saturated in each frame has one light.
-        for places, asked in ((special, special), (white, white[:1])):
-            if asked.size:
-                some = samples[:, asked]
-                of_some = estimate(list(some), some.sum(axis=0, dtype=np.uint32))
-                for whole, each in zip(found, of_some, strict=True):
-                    whole[places] = each
-    light, deviation = (each.reshape(4, -1) for each in found)
+        found = compiled.first_light(tables, samples, unknown)
+        if found[2].size:
+            some = samples[:, found[2]]
+            of_some = estimate(list(some), some.sum(axis=0, dtype=np.uint32))
+            found[0][found[2]], found[1][found[2]] = of_some
+    light, deviation = (each.reshape(4, -1) for each in found[:2])
     return light, deviation
 
 

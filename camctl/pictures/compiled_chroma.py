@@ -26,16 +26,16 @@ from camctl.evidence.lost_detail import LEVELS, NOISE_BINS, OCTAVES, LostDetail,
 from camctl.evidence.patches import SIDE
 from camctl.model.compiled_cells import beside_saturated, in_cells, put, small_errors
 from camctl.model.compiled_join import join_cells
-from camctl.model.compiled_mean import mean
-from camctl.model.light import KEPT_TABLES, Floats32
+from camctl.model.compiled_mean import MeanTables, mean, tables_of
+from camctl.model.light import KEPT_TABLES, Floats32, LightTables
 from camctl.system.compiled_functions import compiler
 
 __all__ = [
     "beside_saturated",
     "chroma_variance",
+    "first_light",
     "in_cells",
     "join_cells",
-    "mean",
     "put",
     "small_errors",
     "spreads",
@@ -57,6 +57,29 @@ _MIDDLE, _BRIGHTEST, _IN_BLOCK = (np.float32(x) for x in (LEVELS / 2, LEVELS - 1
 _BINS_OF_LEVEL = np.float32(NOISE_BINS / LEVELS)
 #: Quantities whose means over 3 x 3 cells are needed.
 _QUANTITIES = 10
+
+
+@lru_cache(maxsize=KEPT_TABLES)
+def _mean_tables(tables: LightTables, unknown: bytes) -> MeanTables:
+    of_white = float(tables.sensor.full), np.inf
+    return tables_of(tables, np.frombuffer(unknown, np.bool_), of_white)
+
+
+def first_light(
+    tables: LightTables, values: NDArray[Any], unknown: NDArray[np.bool_]
+) -> tuple[Floats32, Floats32, NDArray[np.intp]]:
+    """Return the light of samples of each frame, (n, S), and its standard deviation.
+
+    The last result is the samples that `LightTables.mean` says more about.
+
+    Args:
+        tables: of the frames
+        values: of them
+        unknown: bins of light in which the deviation is not known
+    """
+    light, deviation = np.empty((2, values.shape[1]), np.float32)
+    of_frames = _mean_tables(tables, unknown.tobytes())
+    return light, deviation, np.flatnonzero(mean(values, of_frames, light, deviation))
 
 
 @_compiled
