@@ -97,12 +97,13 @@ class _Weights:
         step = np.maximum(sensor.step(x), 1e-12)
         reach = CLIPPING_SIGMAS * np.sqrt(noise)
         saturated = x + reach >= sensor.full
+        variance = (noise + step**2 / 12) / exposures**2
         if frames.noise[0].compression_levels:  # exact probabilities are not used
-            least = _least_distance(len(exposures)) * np.sqrt(noise)
-            clipped = x - least < sensor.light[0]
+            above = (x - sensor.light[0]) / np.sqrt(noise)
+            clipped, moved = _at_black(above, np.sqrt(noise) / exposures, variance, saturated)
+            variance *= 1 + moved
         else:
             clipped = x - reach < sensor.light[0] - sensor.gap[0] / 2
-        variance = (noise + step**2 / 12) / exposures**2
         certain = x - reach >= sensor.full
         information = np.where(certain, 0.0, 1 / variance)
         total = information.sum(axis=0)
@@ -138,16 +139,36 @@ class _Weights:
         )
 
 
-def _least_distance(count: int) -> float:
-    """Return how far from the least light of a sample that counts the light is, in deviations.
+def _at_black(
+    above: FloatArray, spread: FloatArray, variance: FloatArray, saturated: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Return which samples do not count since noise is cut off at black, (n, B).
 
-    Noise that is cut off there moves the mean of samples at z deviations from it by
-    density(z) - z P(above z) of them, that of all `count` frames, too.  The deviation of this mean
-    is the root of `count` less.
+    Those count whose light is above the least one by so many deviations that the noise of all of
+    them moves the mean by `_MOST_MOVED` of its own.  Others are black in several frames at once,
+    since errors of files are not independent: they count where there is nothing else, all of them.
+
+    Args:
+        above: light of samples above the least one, deviations, (n, B)
+        spread: these, as irradiance
+        variance: of samples, as irradiance
+        saturated: samples that do not count either
+
+    Returns:
+        these, and the square of what black moves the mean of the others by, over its variance, (B,)
     """
     z = np.linspace(0.0, CLIPPING_SIGMAS, 512)
-    moved = np.exp(-z * z / 2) / math.sqrt(2 * math.pi) - z * (1 - normal_cdf(z))
-    return float(np.interp(-_MOST_MOVED / math.sqrt(count), -moved, z))
+    least = np.interp(-_MOST_MOVED / math.sqrt(len(above)), -_moved(z), z)
+    dark = above < least
+    clipped = dark & ~(dark | saturated).all(axis=0)
+    weight = np.where(saturated | clipped, 0.0, 1 / variance)
+    moved = np.square((weight * spread * _moved(above)).sum(axis=0))
+    return clipped, np.asarray(moved / np.maximum(weight.sum(axis=0), 1e-300))
+
+
+def _moved(z: FloatArray) -> FloatArray:
+    """Return what noise that is cut off z deviations below the light moves the mean by, of one."""
+    return np.asarray(np.exp(-z * z / 2) / math.sqrt(2 * math.pi) - z * (1 - normal_cdf(z)))
 
 
 def light_of_sums(frames: FrameSet, sensor: SensorModel) -> FloatArray:

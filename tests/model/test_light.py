@@ -163,3 +163,27 @@ def test_light_beside_full_scale_is_the_exact_posterior(
         least = math.sqrt((joint * (GRID - mean) ** 2).sum() / joint.sum())
         assert abs(light - mean) < 0.15 * least, sample
         assert 0.9 < deviation / least < 1.15, sample
+
+
+def test_frames_of_files_that_are_black_together_say_more_than_the_longest_of_them() -> None:
+    """The error of the logarithm is less than with the longest one alone, and is in `sd`.
+
+    Of the light that the longest frame may just show, exposures are a quarter apart.
+    """
+    rng = np.random.default_rng(1)
+    real, exposures = linear_response(8), tuple(1.25**k for k in range(10))
+    noise = FrameNoise(20.0, 0.4, compression_levels=0.5)
+    frames = FrameSet(real, 0, exposures, (noise,) * len(exposures))
+    light = real.levels[0] / exposures[-1] * rng.uniform(0.9, 1.6, 20_000)
+    values = []
+    for exposure in exposures:
+        x = rng.poisson(exposure * light * 20 * 256) / (20 * 256)
+        x += rng.normal(0, 0.4 / 256, light.size)
+        levels = np.searchsorted(real.levels, x, "right") + rng.normal(0, 0.5, light.size)
+        values.append(np.clip(np.round(levels), 0, 255).astype(np.uint8))
+    tables = light_tables(frames)
+    E, sd = tables.mean(values, np.asarray(np.sum(values, axis=0, dtype=np.uint16)))
+    alone = tables.irradiance[-1][values[-1]]
+    errors = [np.sqrt(np.mean(np.log(each / light) ** 2)) for each in (E, alone)]
+    assert errors[0] < 0.58 * errors[1]
+    assert 0.8 < np.sqrt(np.mean(((E - light) / sd) ** 2)) < 1.05
