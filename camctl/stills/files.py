@@ -19,8 +19,9 @@ _MOST_BYTES = 1 << 30
 def check_times(files: Sequence[Path], times: Sequence[float | Fraction] | None) -> None:
     """Raise `UsageError` unless there is one time for each file, or none at all."""
     if times is not None and len(times) != len(files):
+        given = f"{len(times)} exposure times were" if len(times) != 1 else "1 exposure time was"
         raise UsageError(
-            f"{len(times)} exposure times were given for {len(files)} files",
+            f"{given} given for {len(files)} files",
             hint="give one for each file",
             remedies={"times": None},
         )

@@ -91,7 +91,7 @@ def test_colours_of_jpeg_photographs_are_those_of_the_scene(run: Run) -> None:
         ("none/*.png", "cannot read none/*.png: No such file or directory"),
         (
             "p00.png p01.png --times 1",
-            "1 exposure times were given for 2 files; give one for",
+            "1 exposure time was given for 2 files; give one for",
         ),
         (
             "p00.png p01.png",
