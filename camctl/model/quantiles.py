@@ -36,4 +36,4 @@ def median_of_ascending(values: NDArray[Any]) -> float:
     middle = values.size // 2
     if values.size % 2:
         return float(values[middle])
-    return float((values[middle - 1] + values[middle]) / 2)
+    return float(values[middle - 1] / 2 + values[middle] / 2)  # whole numbers do not overflow
