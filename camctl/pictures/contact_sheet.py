@@ -20,11 +20,11 @@ from camctl.pictures.drawing import (
     Colour,
     Drawing,
     decades,
-    fitted,
+    reduced,
 )
 from camctl.pictures.preview_light import ALL, Light
 from camctl.system.number_text import percent_text, power_texts, range_text, time_text
-from camctl.system.picture_operations import reduced_by_area
+from camctl.system.picture_operations import channels_together, reduced_by_area
 
 _WIDTH = 1280  # pixels: fits on the screens of laptops
 _INNER = _WIDTH - 2 * MARGIN
@@ -88,9 +88,9 @@ def contact_sheet(
     ).tolist()
     sheet = Drawing(_WIDTH, tops[-1])
     sheet.text(_title(details), (MARGIN, tops[0]), _INNER, size=TITLE)
-    lies = details.orientation
-    marked = lies.upright(_marked(light, lies.lying(preview), movement))
-    _draw_pictures(sheet, (tops[1], picture), preview, marked, details)
+    shown, lies = reduced(preview, ((_INNER - MARGIN) // 2, _PICTURE_HEIGHT)), details.orientation
+    marked = lies.upright(_marked(light, lies.lying(shown), movement))
+    _draw_pictures(sheet, (tops[1], picture), shown, marked, details)
     for number, row in enumerate(rows):
         top = tops[2] + number * (frame_height + 2 * LINE_HEIGHT + MARGIN)
         for place, frame in enumerate(row):
@@ -167,11 +167,9 @@ def _draw_pictures(
 def _marked(
     light: Light, preview: NDArray[np.uint8], movement: Movement | None
 ) -> NDArray[np.uint8]:
-    """Return the preview in grey with the marks, reduced so that each mark is seen."""
-    size = ((_INNER - MARGIN) // 2, _PICTURE_HEIGHT)
-    grey = fitted(preview, size) @ _LUMA
-    pale = np.rint(0.55 * grey + 70).astype(np.uint8)
-    marked = np.repeat(pale[..., np.newaxis], 3, axis=2)
+    """Return the preview, (rows, columns, 3), in grey with the marks, of which each is seen."""
+    pale = np.rint(0.55 * (preview @ _LUMA) + 70).astype(np.uint8)
+    marked = channels_together([pale] * 3)
     shape = (marked.shape[1], marked.shape[0])
     marks = [
         (light.dark > _NOTABLY_DARK * ALL, _DARK_COLOUR),

@@ -7,7 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.system.picture_operations import draw_text, reduced_by_area, text_width
+from camctl.system.picture_operations import (
+    channels_together,
+    draw_text,
+    reduced_by_area,
+    text_width,
+)
 
 Colour = tuple[int, int, int]
 
@@ -79,22 +84,35 @@ class Drawing:
     def fill(self, place: tuple[int, int], size: tuple[int, int], colour: Colour) -> None:
         """Fill a box of (width, height) pixels."""
         x, y = place
-        self.pixels[y : y + size[1], x : x + size[0]] = colour
+        area = self.pixels[y : y + size[1], x : x + size[0]]
+        # A fifth of the time of a whole area at once: rows are copied.
+        area[:1] = colour
+        area[1:] = area[:1]
 
 
 def fitted(picture: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
     """Return a picture as (rows, columns, 3), enlarged or reduced to fit (width, height)."""
+    shown, shape = reduced(picture, size), _shape_in(picture, size)
+    if shown.shape[:2] == shape:
+        return shown
+    # Enlarged pixels stay visible as pixels.  The rows of the result are copied whole.
+    down, across = (np.arange(n) * m // n for n, m in zip(shape, shown.shape, strict=False))
+    return np.asarray(shown.take(across, axis=1).take(down, axis=0))
+
+
+def reduced(picture: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Return a picture as (rows, columns, 3), reduced to fit (width, height) where it is larger."""
+    rows, columns = _shape_in(picture, size)
+    if rows < picture.shape[0] or columns < picture.shape[1]:
+        picture = reduced_by_area(picture, (columns, rows))
+    return picture if picture.ndim == 3 else channels_together([picture] * 3)
+
+
+def _shape_in(picture: NDArray[np.uint8], size: tuple[int, int]) -> tuple[int, int]:
+    """Return rows and columns of a picture that fits (width, height)."""
     rows, columns = picture.shape[:2]
     factor = min(size[0] / columns, size[1] / rows, MOST_ENLARGED)
-    shape = (max(1, round(columns * factor)), max(1, round(rows * factor)))
-    if factor < 1:
-        shown = reduced_by_area(picture, shape)
-    else:  # enlarged pixels stay visible as pixels
-        down, across = (
-            np.arange(n) * m // n for n, m in zip(shape[::-1], (rows, columns), strict=True)
-        )
-        shown = picture[down][:, across]
-    return shown if shown.ndim == 3 else np.repeat(shown[..., np.newaxis], 3, axis=2)
+    return max(1, round(rows * factor)), max(1, round(columns * factor))
 
 
 def decades(low: float, high: float) -> tuple[int, int]:

@@ -103,6 +103,18 @@ def test_marks_are_where_light_is_out_of_range() -> None:
             assert other == colour or colour_share(part, other) == 0
 
 
+def test_marks_are_as_large_as_the_pixels_of_an_enlarged_picture() -> None:
+    light, dark = np.full((72, 96), 0.1), np.zeros((72, 96))
+    dark[10:13, 20], dark[40, 50], dark[70, 90:] = 1, 1, 1
+    shown = light_of(light, dark=dark)
+    pixels = contact_sheet(shown, tone_map(shown), details())
+    rows, columns = 460, 613
+    second = pixels[MARGIN + 2 * LINE_HEIGHT :, 649 : 649 + columns]
+    is_marked = (second[:rows] == sheets._DARK_COLOUR).all(axis=-1)
+    enlarged = dark[np.arange(rows) * 72 // rows][:, np.arange(columns) * 96 // columns]
+    assert np.array_equal(is_marked, enlarged > 0)
+
+
 def test_a_single_saturated_pixel_is_marked() -> None:
     light, saturated = np.full((1500, 2000), 0.1), np.zeros((1500, 2000))
     saturated[700, 900] = 1
