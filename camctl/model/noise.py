@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,6 +40,17 @@ class FrameNoise:
     black: int = 0
     compression_levels: float = 0.0
     file: BlockRounding | None = None
+
+    def in_levels(self, size: float) -> FrameNoise:
+        """Return the same noise in levels that are `size` times as large."""
+        return replace(
+            self,
+            electrons_per_level=self.electrons_per_level * size,
+            read_noise_levels=self.read_noise_levels / size,
+            dark_levels=self.dark_levels / size,
+            dsnu_levels=self.dsnu_levels / size,
+            compression_levels=self.compression_levels / size,
+        )
 
     @property
     def is_none(self) -> bool:

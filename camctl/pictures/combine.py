@@ -29,8 +29,9 @@ from camctl.interface.camera import Pixels
 from camctl.interface.controls import Layout
 from camctl.model.noise import FrameNoise
 from camctl.model.response.camera import CameraResponse
+from camctl.model.sample_grid import SampleGrid
 from camctl.model.sensor import SensorModel
-from camctl.pictures.accumulator import Accumulator
+from camctl.pictures.accumulator import Accumulator, sum_dtype
 from camctl.pictures.combine_arguments import (
     Noise,
     Response,
@@ -132,10 +133,13 @@ def combine(
     responses = channel_responses(response, black, top)
     kind = frame_layout(pictures[0].shape, len(responses), layout)
     stated = None if brightness_steps is None else known_steps(brightness_steps)
-    samples, steps = _sampled(pictures, kind, top, stated)
-    black, responses, findings = _levels(samples, relative, kind, responses, black, top)
+    grid = SampleGrid.of(pictures, top)
+    pictures = [grid.codes(each) for each in pictures]
+    samples, steps = _sampled(pictures, kind, grid.code(top), stated)
+    black, responses, findings = _levels(samples, relative, kind, responses, grid, black)
+    unit, black = min(exposures) * grid.light_scale(black), grid.nearest(black)
     samples = [np.minimum(each, black + responses[0].M) for each in samples]
-    known = None if noise is None else known_noise(noise, exposures, gains, black)
+    known = None if noise is None else known_noise(noise, exposures, gains, black, grid.step)
     parts = parts_of(kind, responses)
     light = frame_light(
         parts,
@@ -143,7 +147,7 @@ def combine(
         known,
         samples,
         black=black,
-        unit=min(exposures),
+        unit=unit,
         gains=gains,
         method=method,
         steps=steps,
@@ -158,7 +162,20 @@ def combine(
         findings += () if is_one_wrong else marked
     if (unknown := float(np.isnan(found.sd).mean())) > 0:
         findings.append(Finding(code="noise_unknown", value=unknown))
-    return replace(found, findings=tuple(findings))
+    return replace(_of_samples(found, grid, len(pictures)), findings=tuple(findings))
+
+
+def _of_samples(found: Combination, grid: SampleGrid, count: int) -> Combination:
+    """Return what `count` frames show in the unit of samples, from what their codes do."""
+    if grid.step == 1:
+        return found
+    dtype = sum_dtype(count, grid.white)
+    total = found.sum.astype(dtype) * dtype.type(grid.step) + dtype.type(count * grid.first)
+    noise = tuple(
+        tuple(replace(each.in_levels(1 / grid.step), black=grid.level(each.black)) for each in some)
+        for some in found.noise
+    )
+    return replace(found, sum=total, noise=noise)
 
 
 def _noise_of_all_light(light: FrameLight, kind: Layout) -> Sequence[FrameNoise] | None:
@@ -218,16 +235,33 @@ def _levels(
     exposures: Sequence[float],
     layout: Layout,
     responses: tuple[CameraResponse, ...],
-    black: int,
-    white: int,
+    grid: SampleGrid,
+    stated: int,
 ) -> tuple[int, tuple[CameraResponse, ...], list[Finding]]:
-    """Return the black level and the responses that the frames show, and what was not as stated."""
-    findings = []
+    """Return the black level that frames show, DN, responses of codes, and what is not as stated.
+
+    Args:
+        samples: codes of the frames
+        exposures: of the frames, relative to the shortest
+        layout: of the frames
+        responses: as levels of brightness
+        grid: of the samples
+        stated: brightness without light, DN
+    """
+    findings, level = [], stated
+    black, white = grid.nearest(stated), grid.code(grid.white)
+    responses = tuple(grid.response(each, stated) for each in responses)
     shown = black_level(samples, exposures, responses[0], black, white)
     if shown is not None:
-        findings.append(level_finding("black", shown, black))
-        black, responses = shown, channel_responses("linear", shown, white)
-    findings += black_of_colours(samples, exposures, layout, responses, black, white)
+        black, level = shown, grid.level(shown)
+        findings.append(level_finding("black", level, stated))
+        linear = channel_responses("linear", level, grid.white)
+        responses = tuple(grid.response(each, level) for each in linear)
+    for each in black_of_colours(samples, exposures, layout, responses, black, white):
+        of_samples = {"value": grid.level(round(each.value or 0))}
+        findings.append(
+            each.model_copy(update=of_samples | {"details": each.details | {"stated": level}})
+        )
     parts = parts_of(layout, responses)
     of_parts = zip(*(np.split(each, len(parts)) for each in samples), strict=True)
     levels = [
@@ -236,9 +270,9 @@ def _levels(
     ]
     top = min((each for each in levels if each is not None), default=None)
     if top is not None:
-        findings.append(level_finding("white", top, white))
+        findings.append(level_finding("white", grid.level(top), grid.white))
         responses = tuple(each.up_to(top - black) for each in responses)
-    return black, responses, findings
+    return level, responses, findings
 
 
 def _contradictions(

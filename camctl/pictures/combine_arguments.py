@@ -146,21 +146,21 @@ def known_gains(gains: Sequence[float] | None, count: int) -> list[float]:
 
 
 def known_noise(
-    noise: Noise, exposures: Sequence[float], gains: Sequence[float], black: int
+    noise: Noise, exposures: Sequence[float], gains: Sequence[float], black: int, step: int
 ) -> tuple[FrameNoise, ...]:
-    """Return the noise of each frame."""
+    """Return the noise of each frame, in levels of `step` DN; black is one of them."""
     if isinstance(noise, NoiseModel):
-        return tuple(
-            noise.frame(gain=gain, time_s=exposure / gain, black=black)
+        noise = [
+            noise.frame(gain=gain, time_s=exposure / gain)
             for exposure, gain in zip(exposures, gains, strict=True)
-        )
+        ]
     given = (noise,) * len(exposures) if isinstance(noise, FrameNoise) else noise
     if not isinstance(given, Sequence) or not all(isinstance(x, FrameNoise) for x in given):
         raise UsageError(
             f"invalid noise of type {type(noise).__name__}: expected a NoiseModel, a FrameNoise, "
             "or a FrameNoise for each frame"
         )
-    return tuple(replace(each, black=black) for each in given)
+    return tuple(replace(each.in_levels(step), black=black) for each in given)
 
 
 def known_steps(steps: Sequence[float]) -> NDArray[np.float64]:
