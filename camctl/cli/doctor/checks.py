@@ -69,7 +69,7 @@ OPENCV: Final = (
 #: Extra of camctl that users may want: what it is for, as docs/how-to/install.md has it.
 EXTRAS: Final = {
     "raw": "camera raw files",
-    "tiff": "TIFF files of compressions that OpenCV does not read",
+    "tiff": "TIFF files of compressions that OpenCV does not read; `picture.avif`",
     "gphoto2": "the cameras of libgphoto2",
     "libcamera": "cameras of the Raspberry Pi",
     "genicam": "machine-vision cameras on x86-64 where Aravis is not installed",
@@ -79,7 +79,7 @@ EXTRAS: Final = {
     "mqtt": "Home Assistant and MQTT, for the menu",
     "plots": "plots: `--plot`, `camctl figures`, `plot` of calibrations",
     "studies": "the other methods in `camctl tradeoff solver`, and plots",
-    "fast": "a faster simulated camera, and faster sums in long live streams",
+    "fast": "a faster simulated camera, faster merges, and faster sums in long live streams",
     "bluesky": "a detector for bluesky's RunEngine",
     "dask": "studies on a Dask cluster",
 }
