@@ -25,6 +25,7 @@ from camctl.findings import Detail, Finding
 from camctl.interface.controls import ExposureControls, Layout
 from camctl.model.quantiles import NORMAL_MAD, student
 from camctl.model.response.camera import CameraResponse, FloatArray
+from camctl.model.sample_grid import SampleGrid
 from camctl.model.sensor import CLIPPING_SIGMAS, RESPONSE_ERROR
 from camctl.system.picture_operations import looked_up
 
@@ -276,6 +277,20 @@ def level_finding(
     if colour is not None:
         details["colour"] = colour
     return Finding(code="levels_found", value=value, details=details, remedies=remedies or {})
+
+
+def of_samples(findings: Sequence[Finding], grid: SampleGrid, black: int) -> list[Finding]:
+    """Return findings of levels in codes as those of samples, which are stated to have `black`."""
+    stated = {"black": black, "white": grid.white}
+    return [
+        each.model_copy(
+            update={
+                "value": grid.level(round(each.value or 0)),
+                "details": each.details | {"stated": stated[str(each.details["level"])]},
+            }
+        )
+        for each in findings
+    ]
 
 
 def _full(

@@ -64,6 +64,10 @@ class SampleGrid:
         """Return the code of the highest value that is not above a brightness."""
         return max(0, math.floor((level - self.first) / self.step))
 
+    def bits(self, bits: int) -> int:
+        """Return how many bits the codes of samples of so many have."""
+        return self.code(2**bits - 1).bit_length()
+
     def nearest(self, level: float) -> int:
         """Return the code of the value that is nearest to a brightness."""
         return self.code(level + self.step / 2)

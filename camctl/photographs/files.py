@@ -20,6 +20,7 @@ from camctl.interface.colour import BT709, CameraColour
 from camctl.interface.controls import Layout
 from camctl.interface.orientation import UPRIGHT, Orientation
 from camctl.model.effective import check_ratio
+from camctl.model.sample_grid import SampleGrid
 from camctl.photographs.alignment import grey_copy
 from camctl.photographs.camera import Photograph
 from camctl.photographs.moves import Move, overlap
@@ -81,6 +82,7 @@ class PhotographFiles:
     Attributes:
         photographs: name and exposure of each file
         format: of all of them
+        grid: values of their samples; `pixels` are codes of it
         taken_by: make, model and serial number of the camera, as the files state them; empty where
             they do not
         notes: findings
@@ -100,6 +102,7 @@ class PhotographFiles:
         self._full = _largest_of_exr(self._paths)
         self.photographs: list[Photograph] = []
         found: Format | None = None
+        self.grid = SampleGrid(1, 0, 0)  # until all are read
         self.notes: list[Finding] = []
         self._orientations: dict[int, Orientation] = {}
         self.taken_by = ("", "", "")
@@ -118,6 +121,9 @@ class PhotographFiles:
         assert found is not None  # there is a file
         check_ratio([each.exposure for each in self.photographs])
         self.format = found
+        latest_first = map(self.pixels, reversed(range(len(self._paths))))  # kept, and decides
+        self.grid = SampleGrid.of(latest_first, found.white)
+        self._kept = {k: self.grid.codes(pixels) for k, pixels in self._kept.items()}
         if len(cameras) > 1:
             whose = " and ".join(f"{name} by {model}" for model, name in cameras.items())
             details: dict[str, Detail] = {"what": "camera", "whose": whose}
@@ -125,11 +131,12 @@ class PhotographFiles:
         self._name_apart()
 
     def pixels(self, position: int) -> Pixels:
-        """Return the pixels of a file."""
+        """Return the codes of the pixels of a file."""
         if position not in self._kept:
-            pixels = self._read(position)[0]
+            pixels = self.grid.codes(self._read(position)[0])
             if (move := self._moves.get(position)) is not None:
-                pixels = move.applied(pixels, self.format.layout, self.format.white)
+                white = self.grid.code(self.format.white)
+                pixels = move.applied(pixels, self.format.layout, white)
             self._keep(position, pixels)
         return self._kept[position]
 

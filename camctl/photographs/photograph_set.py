@@ -16,6 +16,7 @@ from camctl.calibration.response.series import Series
 from camctl.errors import UsageError
 from camctl.evidence.contradictions import contradictions
 from camctl.evidence.patches import Patches
+from camctl.evidence.shown_levels import of_samples
 from camctl.findings import Detail, Finding
 from camctl.interface.controls import ExposureControls
 from camctl.model.response.camera import phase_of_black
@@ -171,7 +172,7 @@ def open_photographs(paths: Sequence[Path], source: PhotographOptions) -> Opened
     series.find_limits()
     if files.format.is_raw and source.white is None:
         series.find_saturation()  # tables of cameras state it too high
-    facts += series.findings
+    facts += of_samples(series.findings, files.grid, files.format.black)
     series.findings.clear()
     selection, controls, response = _with_response(files, source, selection, notes, facts)
     patches = [np.minimum(each, controls.white) for each in selection.series.patches]
@@ -329,7 +330,7 @@ def _with_rough_exposures(selection: Selection) -> Selection:
 
 
 def _levels(files: PhotographFiles, source: PhotographOptions) -> tuple[int, int]:
-    """Return black and white level of the files, as stated or of their format."""
+    """Return black and white level of the codes of files, as stated or of their format."""
     black = files.format.black if source.black is None else source.black
     white = files.format.white if source.white is None else source.white
     if not 0 <= black < white < 2**files.format.bits:
@@ -337,7 +338,7 @@ def _levels(files: PhotographFiles, source: PhotographOptions) -> tuple[int, int
             f"invalid levels: black {black} and white {white} in files of {files.format.bits} bits",
             hint=f"expected 0 <= black < white < {2**files.format.bits}",
         )
-    return black, white
+    return files.grid.nearest(black), files.grid.code(white)
 
 
 def _selection(
@@ -351,7 +352,7 @@ def _selection(
     black, white = _levels(files, source)
     series = Series(
         files.format.layout,
-        files.format.bits,
+        files.grid.bits(files.format.bits),
         black,
         white,
         phase=phase_of_black(black),

@@ -22,6 +22,7 @@ from camctl.evidence.shown_levels import (
     black_level,
     black_of_colours,
     level_finding,
+    of_samples,
     saturation_level,
 )
 from camctl.findings import Finding
@@ -257,11 +258,8 @@ def _levels(
         findings.append(level_finding("black", level, stated))
         linear = channel_responses("linear", level, grid.white)
         responses = tuple(grid.response(each, level) for each in linear)
-    for each in black_of_colours(samples, exposures, layout, responses, black, white):
-        of_samples = {"value": grid.level(round(each.value or 0))}
-        findings.append(
-            each.model_copy(update=of_samples | {"details": each.details | {"stated": level}})
-        )
+    of_colours = black_of_colours(samples, exposures, layout, responses, black, white)
+    findings += of_samples(of_colours, grid, level)
     parts = parts_of(layout, responses)
     of_parts = zip(*(np.split(each, len(parts)) for each in samples), strict=True)
     levels = [
