@@ -24,16 +24,18 @@ from camctl.evidence.ratios import estimate_comparable
 from camctl.findings import Detail, Finding
 from camctl.model.quantiles import median
 from camctl.model.response.camera import FloatArray
-from camctl.model.sensor import FILE_OFFSET, SensorModel
+from camctl.model.sensor import (
+    BLACK_ERROR_LEVELS,
+    ESTIMATED_RESPONSE_ERROR,
+    FILE_OFFSET,
+    SensorModel,
+)
 from camctl.photographs.camera import Photograph
 from camctl.system.picture_operations import looked_up
 
-#: Standard deviations of the errors that patches of one brightness share beside the offset of a
-#: photograph, levels of 255; and of another error, relative, lest one cell decides.
-_OWN, _SCATTER = 1.0, 0.02
-#: Brightness, share of full scale, from which on colours are compared: below, JPEG files of low
-#: quality change a colour by 3 to 4 levels (taipei, street2), a tenth of it.
-_DIM = 1 / 8
+#: Standard deviation of an error that patches of one brightness share, relative, lest one cell
+#: decides.
+_SCATTER = 0.02
 #: Share of the expected variance that remains however well the cells agree: so large that the sky
 #: of taipei, whose red changes by 2 levels between photographs, is no other white balance.
 _LEAST_SHOWN = 0.2
@@ -46,8 +48,6 @@ _ALIKE, _MAJORITY = 0.15, 0.6
 MOST_CORRECTED, _NOTABLE = 1.3, 0.03
 STEADY = 0.6
 """Of the logarithm of the factor that counts, the share by which neighbours may differ."""
-#: Factor of one colour against green from which it is another white balance.
-_OTHER_COLOUR = 1.05
 #: Largest error of a ratio of colours, logarithm, with which it says anything; and with which it
 #: says that colours change halfway.
 _MOST_UNSURE, _SURE = 0.875, 0.14
@@ -55,6 +55,26 @@ _MOST_UNSURE, _SURE = 0.875, 0.14
 _COLOURS, _GREEN = {"red": 0, "blue": 2}, 1
 #: Photographs whose colours must agree for each one whose do not.
 _AGREE = 2
+
+
+class _Errors(NamedTuple):
+    """Errors of photographs.
+
+    Attributes:
+        own: standard deviation of what patches of one brightness share, levels of 255
+        offset: that of what all patches of a photograph share, levels of 255
+        darkest: brightness from which on patches count, share of full scale
+    """
+
+    own: float
+    offset: float
+    darkest: float
+
+
+_OF_LIGHT = _Errors(1.0, FILE_OFFSET, DARK)
+#: Below, JPEG files of low quality change a colour by 3 to 4 levels (taipei, street2), a tenth of
+#: it.
+_OF_COLOURS = _OF_LIGHT._replace(darkest=1 / 8)
 
 
 class PairRatio(NamedTuple):
@@ -104,7 +124,7 @@ class _Seen(NamedTuple):
         )
 
 
-def _pair_ratio(first: _Seen, second: _Seen, darkest: float = DARK) -> PairRatio | None:
+def _pair_ratio(first: _Seen, second: _Seen, errors: _Errors) -> PairRatio | None:
     """Return the ratio of the light in most patches of two photographs; None: they do not show it.
 
     An offset b of the darker photograph changes the logarithm of the ratio of patches of one
@@ -114,10 +134,10 @@ def _pair_ratio(first: _Seen, second: _Seen, darkest: float = DARK) -> PairRatio
     Args:
         first: one photograph
         second: the other
-        darkest: brightness from which on patches count, share of full scale
+        errors: of both
     """
     dim = np.minimum(first.brightness, second.brightness)
-    use = first.is_whole & second.is_whole & (dim > 255 * darkest)
+    use = first.is_whole & second.is_whole & (dim > 255 * errors.darkest)
     if np.count_nonzero(use) < _LEAST:
         return None
     logs = (second.log - first.log)[use]
@@ -132,8 +152,8 @@ def _pair_ratio(first: _Seen, second: _Seen, darkest: float = DARK) -> PairRatio
         return None
     means, g = (np.array([median(each[of]) for of in cells]) for each in (logs, slopes))
     rows = np.stack([np.ones(g.size), g], axis=1)
-    weights = 1 / (np.square(_OWN * g) + _SCATTER**2)
-    prior = np.diag([0.0, FILE_OFFSET**-2.0])
+    weights = 1 / (np.square(errors.own * g) + _SCATTER**2)
+    prior = np.diag([0.0, errors.offset**-2.0])
     covariance = np.linalg.inv((rows.T * weights) @ rows + prior)
     found = covariance @ (rows.T @ (weights * means))
     residual = float(weights @ np.square(means - rows @ found))
@@ -142,7 +162,7 @@ def _pair_ratio(first: _Seen, second: _Seen, darkest: float = DARK) -> PairRatio
     shown = max(_LEAST_SHOWN, (1 + residual) / g.size)
     covariance = np.linalg.inv((rows.T * weights / shown) @ rows + prior)
     log, error = float(found[0]), SIGMAS * math.sqrt(float(covariance[0, 0]))
-    is_one = np.mean(np.abs(logs - log) < _ALIKE + 2 * FILE_OFFSET * slopes) >= _MAJORITY
+    is_one = np.mean(np.abs(logs - log) < _ALIKE + 2 * errors.offset * slopes) >= _MAJORITY
     return PairRatio(log, error, SIGMAS * median(of_curve)) if is_one else None
 
 
@@ -171,11 +191,11 @@ def _ascending(patches: Sequence[Patches]) -> list[int]:
 
 
 def _neighbour_ratios(
-    order: Sequence[int], patches: Sequence[Patches], scale: SensorModel, darkest: float = DARK
+    order: Sequence[int], patches: Sequence[Patches], scale: SensorModel, errors: _Errors
 ) -> list[PairRatio | None]:
     """Return the ratio of the light in each photograph but the first and the one before it."""
     seen = (_Seen.of(patches[k], scale) for k in order)
-    return [_pair_ratio(dark, bright, darkest) for dark, bright in pairwise(seen)]
+    return [_pair_ratio(dark, bright, errors) for dark, bright in pairwise(seen)]
 
 
 def _runs(order: Sequence[int], jumps: Iterable[_Jump]) -> list[Run]:
@@ -218,7 +238,7 @@ class RatiosToDarker:
             scale: irradiance of each brightness
         """
         order = _ascending(patches)
-        return cls(order, _neighbour_ratios(order, patches, scale))
+        return cls(order, _neighbour_ratios(order, patches, scale, _OF_LIGHT))
 
     def runs(self, photographs: Sequence[Photograph]) -> list[Run]:
         """Return the runs of photographs, whose light is expected to grow as their exposures."""
@@ -299,7 +319,7 @@ def corrected_exposures(
 
 
 def odd_colours(
-    patches: Sequence[Patches], scales: Sequence[SensorModel]
+    patches: Sequence[Patches], scales: Sequence[SensorModel], *, are_exact: bool = False
 ) -> tuple[set[int], list[Finding]]:
     """Return the positions of photographs whose colours differ from most others; findings.
 
@@ -311,14 +331,15 @@ def odd_colours(
     Args:
         patches: of each photograph, of red, green and blue
         scales: irradiance of each brightness of these
+        are_exact: they are no JPEG files, and their response is stated
     """
-    limit = math.log(_OTHER_COLOUR)
+    expected = _errors_of_numbers(scales[_GREEN]) if are_exact else _OF_COLOURS
     odd: dict[int, dict[str, float]] = {}
     notes = []
     order = _ascending(patches)
     planes = [np.array_split(each, len(scales)) for each in patches]
     ratios = [
-        _neighbour_ratios(order, [each[plane] for each in planes], scale, _DIM)
+        _neighbour_ratios(order, [each[plane] for each in planes], scale, expected)
         for plane, scale in enumerate(scales)
     ]
     for colour, plane in _COLOURS.items():
@@ -328,23 +349,43 @@ def odd_colours(
             for each in zip(ratios[plane], ratios[_GREEN], strict=True)
         )
         for run in _runs(order, jumps):
-            least = [max(STEADY * limit, each) for each in run.tolerances]
-            errors = steady_errors(run.jumps, least)
-            wrong = np.flatnonzero(np.abs(errors) > limit).tolist()
+            errors = steady_errors(run.jumps, run.tolerances)
+            wrong = np.flatnonzero(errors).tolist()
             remaining = np.abs(run.jumps - np.diff(errors))
-            if not wrong or np.any(remaining > STEADY * limit):
+            if not wrong or np.any(remaining > ESTIMATED_RESPONSE_ERROR):
                 continue  # colours of a response that is not quite right differ everywhere
             if len(run.members) - len(wrong) >= _AGREE * len(wrong):
-                for k in wrong:
-                    odd.setdefault(run.members[k], {})[colour] = math.exp(float(errors[k]))
-                continue
-            if max(run.tolerances) > _SURE:
+                if _are_certain(errors, run.tolerances):
+                    for k in wrong:
+                        odd.setdefault(run.members[k], {})[colour] = math.exp(float(errors[k]))
+                    continue
+            elif max(run.tolerances) > _SURE:
                 continue  # dark ones have the colours of JPEG's errors
             ends = run.members[0], run.members[-1]
             most = math.exp(float(np.ptp(errors)))
             notes.append(_other_white_balance(ends, {colour: most}))
     certain = [_other_white_balance((k,), factors) for k, factors in odd.items()]
     return set(odd), certain + notes
+
+
+def _are_certain(errors: FloatArray, tolerances: Sequence[float]) -> bool:
+    """Return whether no neighbour of photographs at an end has the error instead of them.
+
+    It would differ as much from the neighbour on its other side, which the tolerance must show.
+
+    >>> errors = np.array([0.0, 0.0, -0.02])
+    >>> _are_certain(errors, [0.015, 0.018]), _are_certain(errors, [0.022, 0.018])
+    (True, False)
+    """
+    both = (errors, tolerances), (errors[::-1], tolerances[::-1])
+    firsts = [(each, least, int(np.argmax(each == 0))) for each, least in both]
+    return all(least[k] < abs(each[k - 1]) for each, least, k in firsts if 0 < k < len(least))
+
+
+def _errors_of_numbers(scale: SensorModel) -> _Errors:
+    """Return the errors of photographs whose numbers are rounded, as is their black level."""
+    level = BLACK_ERROR_LEVELS * 255 / (scale.white - scale.black)
+    return _Errors(level, level, DARK)
 
 
 def _other_white_balance(frames: tuple[int, ...], factors: dict[str, float]) -> Finding:

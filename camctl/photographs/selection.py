@@ -9,7 +9,7 @@ from camctl.calibration.response.series import Series
 from camctl.errors import DataError
 from camctl.evidence.views import Likeness, likenesses, unlike_each_other, unlike_others
 from camctl.findings import Finding
-from camctl.interface.controls import ExposureControls, Layout
+from camctl.interface.controls import ExposureControls, Layout, ResponseOrigin
 from camctl.model.sensor import SensorModel
 from camctl.photographs.alignment import NEARLY, Chain, Sight, chains_of, misaligned
 from camctl.photographs.camera import Photograph, at, detailed
@@ -164,6 +164,7 @@ def of_one_colour(
     models = {each: SensorModel(each, controls.black) for each in set(planes)}
     scales = [models[each] for each in planes]
     patches = [each.clip(max=controls.white) for each in selection.series.patches]
-    odd, found = odd_colours(patches, scales)
+    is_stated = controls.response_origin is ResponseOrigin.STATED
+    odd, found = odd_colours(patches, scales, are_exact=is_stated and controls.bits > 8)
     notes += [at(each, selection.positions) for each in found]
     return selection.without(odd) if odd else selection

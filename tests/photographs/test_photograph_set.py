@@ -286,6 +286,21 @@ class TestWhiteBalance:
         assert (other.code, other.frames) == ("other_white_balance", (0,))
         assert {"red", "blue"} & other.details.keys() == {"red"}
 
+    @pytest.mark.parametrize("place", range(3))
+    def test_five_percent_show_in_linear_files_of_16_bits(self, place: int) -> None:
+        """JPEG files hide 12 %: their photographs have offsets, and others have none."""
+        times, rng = (2.0**-9, 2.0**-7, 2.0**-5), np.random.default_rng(0)
+        files = []
+        for k, time_s in enumerate(times):
+            E = LARGE * time_s * np.array([1.05 if k == place else 1.0, 1.0, 1.0])
+            E += np.sqrt(E / 8000) * rng.normal(size=E.shape)
+            codes = np.rint(np.clip(65535 * E, 0, 65535)).astype(np.uint16)
+            files.append(save(Path(f"p{k}.tif"), codes))
+        found = open_photographs(files, PhotographOptions(times=times, curve="linear"))
+        (other,) = found.notes
+        assert (other.code, other.frames) == ("other_white_balance", (place,))
+        assert other.details["red"] == pytest.approx(1.05, abs=0.005)
+
     def test_one_that_changes_halfway_is_named(self) -> None:
         found = with_colours(TIMES[2:6], [(1, 1), (1, 1), (1.2, 1), (1.2, 1)], "srgb")
         (other,) = found.notes
