@@ -225,6 +225,8 @@ def noise(
         return NoiseResult(**dict(record), camera=source.info, mode=exposure_mode(source.controls))
     frames = scene_frames(source, exposures, black=black, white=white, layout=layout)
     record = estimate_noise(frames.pairs(response, is_flat=is_flat))
+    if frames.grid is not None:
+        record = record.in_levels(1 / frames.grid.step)
     return NoiseResult(**dict(record), camera=frames.camera, mode=frames.mode)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import repeat
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -24,6 +24,7 @@ from camctl.model.response.camera import (
     named_response,
     phase_of_black,
 )
+from camctl.model.sample_grid import SampleGrid
 from camctl.pictures.combine_arguments import checked_frames, known_level
 from camctl.profiles.exposures import mode_name
 from camctl.profiles.profile import load_profile
@@ -65,6 +66,7 @@ class SceneFrames:
         levels_are_stated: else they are looked for in the frames
         camera, mode: which camera has taken them, and how; None and "" where it is not known
         is_jpeg: they were compressed, with a curve that is about sRGB
+        grid: values of their samples, where `combine` and merging see it, too; None: all
         findings: what the user should know
     """
 
@@ -77,6 +79,7 @@ class SceneFrames:
     camera: CameraInfo | None = None
     mode: str = ""
     is_jpeg: bool = False
+    grid: SampleGrid | None = None
     findings: list[Finding] = field(default_factory=list)
 
     def series(self, kept: list[NDArray[Any]] | None = None) -> Series:
@@ -98,16 +101,18 @@ class SceneFrames:
         return series
 
     def pairs(self, response: Response, *, is_flat: bool) -> NoiseFrames:
-        """Return the pairs of frames of one exposure."""
-        responses = self.responses(response)
-        found = NoiseFrames(
-            self.layout, self.black, self.white, responses, is_flat, list(self.findings)
-        )
+        """Return the pairs of frames of one exposure, as codes of their grid."""
+        grid = self.grid or SampleGrid(1, 0, self.white)
+        black, white = grid.nearest(self.black), grid.code(self.white)
+        responses = {
+            name: grid.response(each, self.black) for name, each in self.responses(response).items()
+        }
+        found = NoiseFrames(self.layout, black, white, responses, is_flat, list(self.findings))
         if self.is_jpeg:
             found.note_format(".jpg")
         for frame in self.frames:
             assert frame.setting is not None  # `scene_frames` needs the times
-            found.add(frame.pixels, frame.setting)
+            found.add(grid.codes(frame.pixels), frame.setting)
         return found
 
     def responses(self, given: Response) -> dict[str, CameraResponse]:
@@ -230,7 +235,8 @@ def _of_arrays(
         bits = min(most, max(white, *(int(each.max()) for each in pictures)).bit_length())
     kind = Layout.RGB if pictures[0].ndim == 3 else Layout(layout or Layout.MONO)
     frames = _numbered(pictures, None if exposures is None else stated)
-    found = SceneFrames(frames, kind, bits, black or 0, white, levels is not None)
+    grid = SampleGrid.of(pictures, white)
+    found = SceneFrames(frames, kind, bits, black or 0, white, levels is not None, grid=grid)
     _check_levels(bits, found)
     return found
 
@@ -274,13 +280,16 @@ def _of_files(
             yield _timed(still.pixels, time_s, path.name)
 
     black, white = levels or (None, None)
+    white = first.white if white is None else white
+    others = (read_photograph(path)[0] for path in paths[1:])
     found = SceneFrames(
         frames(),
         first.layout,
         first.bits,
         first.black if black is None else black,
-        first.white if white is None else white,
+        white,
         levels is not None or first.black > 0,
+        grid=SampleGrid.of((each.pixels for each in chain((first,), others)), white),
         is_jpeg=any(path.suffix.lower() in (".jpg", ".jpeg") for path in paths),
     )
     _check_levels(first.bits, found)

@@ -90,6 +90,19 @@ class GainNoise(BaseModel):
     misfit: float = Field(ge=0, allow_inf_nan=False)
     curve: tuple[CurvePoint, ...] = Field(default=(), max_length=_MOST)
 
+    def in_levels(self, size: float) -> GainNoise:
+        """Return the same noise in levels that are `size` times as large."""
+        curve = tuple(
+            CurvePoint(
+                mean=each.mean / size,
+                variance=each.variance / size**2,
+                fitted=each.fitted / size**2,
+            )
+            for each in self.curve
+        )
+        conversion = self.conversion_e_per_dn.scaled(size)
+        return self.model_copy(update={"conversion_e_per_dn": conversion, "curve": curve})
+
 
 class HotPixel(BaseModel):
     """A pixel whose dark signal grows far faster than in the others.
@@ -179,6 +192,10 @@ class NoiseRecord(BaseModel):
         if not all(each.conversion_e_per_dn.value > 0 for each in self.gains):
             raise ValueError("expected conversion gains above 0")
         return self
+
+    def in_levels(self, size: float) -> NoiseRecord:
+        """Return the same noise in levels that are `size` times as large."""
+        return self.model_copy(update={"gains": tuple(each.in_levels(size) for each in self.gains)})
 
     @property
     def reference(self) -> GainNoise:
