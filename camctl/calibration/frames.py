@@ -235,7 +235,7 @@ def _of_arrays(
         bits = min(most, max(white, *(int(each.max()) for each in pictures)).bit_length())
     kind = Layout.RGB if pictures[0].ndim == 3 else Layout(layout or Layout.MONO)
     frames = _numbered(pictures, None if exposures is None else stated)
-    grid = SampleGrid.of(pictures, white)
+    grid = SampleGrid.of(pictures, white, black or 0)
     found = SceneFrames(frames, kind, bits, black or 0, white, levels is not None, grid=grid)
     _check_levels(bits, found)
     return found
@@ -280,16 +280,17 @@ def _of_files(
             yield _timed(still.pixels, time_s, path.name)
 
     black, white = levels or (None, None)
+    black = first.black if black is None else black
     white = first.white if white is None else white
     others = (read_photograph(path)[0] for path in paths[1:])
     found = SceneFrames(
         frames(),
         first.layout,
         first.bits,
-        first.black if black is None else black,
+        black,
         white,
         levels is not None or first.black > 0,
-        grid=SampleGrid.of((each.pixels for each in chain((first,), others)), white),
+        grid=SampleGrid.of((each.pixels for each in chain((first,), others)), white, black),
         is_jpeg=any(path.suffix.lower() in (".jpg", ".jpeg") for path in paths),
     )
     _check_levels(first.bits, found)

@@ -42,10 +42,11 @@ class SampleGrid:
     white: int
 
     @classmethod
-    def of(cls, frames: Iterable[NDArray[np.unsignedinteger]], white: int) -> SampleGrid:
+    def of(cls, frames: Iterable[NDArray[Any]], white: int, black: int = 0) -> SampleGrid:
         """Return the grid of the samples of all frames.
 
-        Samples that are cut off, at 0 or from white on, need not lie on it.
+        Samples that are cut off, at 0 or from white on, need not lie on it.  What is not above
+        black does not show it.
         """
         fine, seen = cls(1, 0, white), np.zeros(1 << 16, np.bool_)
         step, values = 0, np.zeros(0, np.intp)
@@ -58,7 +59,9 @@ class SampleGrid:
                 step = int(np.gcd.reduce(np.diff(values))) if values.size > 1 else 0
                 if step == 1:
                     return fine
-        return fine if values.size < _FEWEST_VALUES else cls(step, int(values[0]) % step, white)
+        if np.count_nonzero(values > black) < _FEWEST_VALUES:
+            return fine
+        return cls(step, int(values[0]) % step, white)
 
     def code(self, level: float) -> int:
         """Return the code of the highest value that is not above a brightness."""

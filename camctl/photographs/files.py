@@ -122,7 +122,7 @@ class PhotographFiles:
         check_ratio([each.exposure for each in self.photographs])
         self.format = found
         latest_first = map(self.pixels, reversed(range(len(self._paths))))  # kept, and decides
-        self.grid = SampleGrid.of(latest_first, found.white)
+        self.grid = SampleGrid.of(latest_first, found.white, found.black)
         self._kept = {k: self.grid.codes(pixels) for k, pixels in self._kept.items()}
         if len(cameras) > 1:
             whose = " and ".join(f"{name} by {model}" for model, name in cameras.items())

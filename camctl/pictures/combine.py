@@ -134,7 +134,7 @@ def combine(
     responses = channel_responses(response, black, top)
     kind = frame_layout(pictures[0].shape, len(responses), layout)
     stated = None if brightness_steps is None else known_steps(brightness_steps)
-    grid = SampleGrid.of(pictures, top)
+    grid = SampleGrid.of(pictures, top, black)
     pictures = [grid.codes(each) for each in pictures]
     samples, steps = _sampled(pictures, kind, grid.code(top), stated)
     black, responses, findings = _levels(samples, relative, kind, responses, grid, black)

@@ -53,6 +53,11 @@ def test_few_values_show_no_step(values: list[int]) -> None:
     assert found(np.array([values * 1000], np.uint16)) == (1, 0)
 
 
+def test_values_that_are_not_above_black_show_no_step() -> None:
+    assert SampleGrid.of([CODES << 6], WHITE, 65400).step == 1
+    assert SampleGrid.of([CODES << 6], WHITE, 64000).step == 64
+
+
 @pytest.mark.parametrize(("black", "code"), [(0, 0), (1024, 16), (1040, 16), (1057, 17)])
 def test_levels_are_those_of_the_fewer_bits(black: int, code: int) -> None:
     """A sample is right in the mean less black, also where black is no value of the grid."""
