@@ -22,7 +22,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.evidence.chroma import NOISE_OF_Y, brightness, differences, patch_brightness
+from camctl.evidence.chroma import NOISE_OF_Y, ROUNDING, brightness, differences, patch_brightness
 from camctl.evidence.patches import SIDE, Patches
 from camctl.interface.layout import BRIGHTNESS_STEPS
 from camctl.model.colour_rounding import DECODED
@@ -179,6 +179,21 @@ def chroma_steps(steps: Floats) -> Floats:
     """
     scale = steps.sum() / np.sum(_EXAMPLE)
     return np.asarray(np.maximum(np.rint(scale * _EXAMPLE_OF_CHROMA.ravel()), 1))
+
+
+def colour_rounding(steps: Floats) -> Floats:
+    """Return the standard deviation of red, green and blue where a file rounds all frequencies.
+
+    It has all samples of Cb and Cr; where there is less contrast, less is rounded.
+
+    Args:
+        steps: of brightness in the file, levels
+    """
+    brightness_error, chroma_error = (
+        np.square(each).mean() / 12 for each in (steps, chroma_steps(steps))
+    )
+    variance = np.square(DECODED) @ (brightness_error, chroma_error, chroma_error)
+    return np.asarray(np.sqrt(variance + np.square(ROUNDING)))
 
 
 def _lost_detail(scales: Floats, steps: Floats, noise: Floats) -> LostDetail:

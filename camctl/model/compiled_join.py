@@ -119,7 +119,7 @@ class _Lanes(NamedTuple):
 @lru_cache(maxsize=KEPT_TABLES)
 def _tables_of(tables: LightTables) -> Tables:
     """Return those of a colour."""
-    sensor, bins, top = tables.sensor, tables.light_bins, tables.sensor.highest(None)
+    sensor, bins, top = tables.sensor, tables.light_bins, tables.top
     squares, noises = tables.of_values
     offset = (FILE_OFFSET / 255 * (sensor.white - sensor.black)) ** 2
     levels = (top - np.arange(sensor.white + 1)) / np.float32(CLIPPING_SIGMAS)

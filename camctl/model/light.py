@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -210,6 +210,7 @@ class LightTables:
         spreads: (n, B) float32, standard deviation of a sample of each frame, as irradiance
         clipped: (n, B) whether noise clips a sample at the lowest value
         first_bins: (n white + 1,) of each sum of samples
+        top: largest value of a sample of a file that is not saturated
         white: value from which on a sample may be saturated whatever the sum is
         saturating: (n,) the darkest bin in which it may be
         is_above: (B,) whether what is saturated may say that there is more light than that
@@ -238,8 +239,9 @@ class LightTables:
         # does not count, and what is white says no more than the noise of its frame.
         first = frames.noise[0]
         is_compressed, self.white = bool(first.compression_levels), sensor.white
+        self.top = _highest(frames, sensor)
         if is_compressed:
-            self.white = sensor.highest(None) + 1
+            self.white = self.top + 1
         elif first.file is not None and frames.beside_saturated:
             is_compressed = True
             error = math.sqrt(first.file.by_contrast(np.zeros(1))[0])
@@ -425,6 +427,18 @@ def cut_at_zero(light: Floats32, spread: FloatArray, near: Any) -> FloatArray:
     larger, narrower = truncated(light[near] / spread)
     light[near] += spread * larger
     return np.sqrt(np.maximum(1 - narrower, 1e-6))
+
+
+def _highest(frames: FrameSet, sensor: SensorModel) -> int:
+    """Return the largest value that is not saturated: as far as any file, or these, err at most."""
+    of_any = sensor.highest(None)
+    if frames.most_rounding is None:
+        return of_any
+    noises = (
+        replace(each, compression_levels=max(each.compression_levels, frames.most_rounding))
+        for each in frames.noise
+    )
+    return max(of_any, min(sensor.highest(each) for each in noises))
 
 
 @lru_cache(maxsize=KEPT_TABLES)

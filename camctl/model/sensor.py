@@ -139,13 +139,14 @@ class SensorModel:
     def highest(self, noise: FrameNoise | None) -> int:
         """Return the largest brightness that noise saturates in few samples, see `CLIPPED`.
 
-        Samples above it are saturated or nearly so.  Without a known noise the errors of JPEG files
-        count, which are larger than the noise of any frame that is worth a capture.
+        Samples above it are saturated or nearly so.  What the file of a frame adds to its noise
+        counts; without a known noise the errors of JPEG files, which are larger than the noise of
+        any frame that is worth a capture.
         """
         if noise is None:
             limit = self.black + (1 - JPEG_ERROR) * (self.white - self.black)
             return min(max(round(limit), 0), self.white - 1)
-        reach = self.light + CLIPPING_SIGMAS * np.sqrt(self.variance(self.light, noise))
+        reach = self.light + CLIPPING_SIGMAS * np.sqrt(self.spread(self.light, noise))
         inside = np.flatnonzero(reach[:-1] < self.full)
         return int(inside[-1]) if inside.size else 0
 

@@ -49,6 +49,8 @@ class FrameSet:
         exposures: of the frames, relative to the shortest, which has 1
         noise: of each frame
         beside_saturated: whether a file rounds samples together with saturated ones
+        most_rounding: standard deviation of what a file rounds of samples at most, levels; None:
+            noise or errors of samples beside saturated ones are not known
         fingerprint: of `response`
     """
 
@@ -57,6 +59,7 @@ class FrameSet:
     exposures: tuple[float, ...]
     noise: tuple[FrameNoise, ...]
     beside_saturated: bool = False
+    most_rounding: float | None = None
     fingerprint: str = ""
 
     def __post_init__(self) -> None:

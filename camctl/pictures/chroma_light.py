@@ -207,7 +207,7 @@ def _join_cells(
     found: CellsLight,
 ) -> None:
     """Find the light of chosen cells; that of those that another colour hides sample by sample."""
-    top = tables.sensor.highest(None)
+    top = tables.top
     may_be_white = _above(cells.values.max(axis=1), top - REACH * cells.errors)
     may_be_white &= cells.values.min(axis=1) <= top  # else all of the cell is
     mixed = np.asarray((cells.hidden.any(axis=1) & may_be_white).any(axis=0))
@@ -377,7 +377,7 @@ def _joined(
         first: light and deviation without these errors, and what they add to it
         by_cell: with the noise of a cell's mean light, whose errors choose weights less
     """
-    top = tables.sensor.highest(None)
+    top = tables.top
     saturated = {at: _above(each, top - REACH * errors[at]) for at, each in values.items()}
     light = first[0]
     samples = {at: looked_up(tables.irradiance[at], each) for at, each in values.items()}
@@ -460,7 +460,7 @@ def _contradiction(
     offset = (FILE_OFFSET / 255 * (sensor.white - sensor.black)) ** 2
     shape = next(iter(samples.values())).shape
     low, high = np.zeros(shape, np.float32), np.full(shape, _BEYOND)
-    levels = (sensor.highest(None) - np.arange(sensor.white + 1)) / REACH
+    levels = (tables.top - np.arange(sensor.white + 1)) / REACH
     to_saturation = (tables.of_values[0] * np.square(levels)).astype(np.float32)
     lost, least_errors = np.zeros(shape, np.float32), {}
     for at, sample in samples.items():

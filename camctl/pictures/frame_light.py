@@ -20,7 +20,7 @@ from camctl.evidence.chroma import (
     has_few_chroma_samples,
     patch_chroma_variance,
 )
-from camctl.evidence.lost_detail import LEVELS, LostDetail, Steps, file_steps
+from camctl.evidence.lost_detail import LEVELS, LostDetail, Steps, colour_rounding, file_steps
 from camctl.evidence.noise import NoiseFit
 from camctl.evidence.part_noise import file_details, file_roundings, fit_parts, noise_contrast
 from camctl.evidence.patch_noise import electrons_per_level
@@ -329,8 +329,9 @@ def frame_light(
     if isinstance(steps, str):
         steps = file_steps(samples, len(parts), stated_steps)
     has_all_chroma = is_of_colours and plain is None and steps is not None
-    if has_all_chroma:
-        least = ROUNDING.tolist()
+    most_rounding: list[float] = []  # with fewer samples of chroma saturation may do more
+    if has_all_chroma and steps is not None:
+        least, most_rounding = ROUNDING.tolist(), colour_rounding(steps).tolist()
     responses = [each.response for each in parts]
     files = file_roundings(None if has_all_chroma else steps, responses, samples, black)
     fits: list[NoiseFit | None] = [None] * len(parts)
@@ -342,6 +343,8 @@ def frame_light(
     for at, (part, file, fit) in enumerate(zip(parts, files, fits, strict=True)):
         frames = _frame_set(part.response, black, exposures, noise, fit, gains, (least[at], file))
         is_known = noise is not None or fit is not None
+        if is_known and most_rounding:
+            frames = replace(frames, most_rounding=most_rounding[at])
         # By theorem 1 of the paper the sum loses nothing where there is no noise.
         if is_sum:
             estimate = _sum(frames, prior, is_known=is_known)
