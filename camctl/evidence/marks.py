@@ -59,6 +59,9 @@ Area = tuple[slice, slice]
 Mask = NDArray[np.bool_]
 Packed = NDArray[np.uint8]
 """Marks of samples as bits, packed along each row."""
+#: Pixels from which on a table of all pairs of codes of 8 bits pays: as many as there are pairs.
+_ALL_CODES = 1 << 16
+
 _Levels = NDArray[np.int16]
 _Places = tuple[NDArray[np.intp], ...]
 
@@ -214,7 +217,8 @@ class _FramePair:
         if self._has_means and dtype == np.uint8:
             if not self.has_spread:
                 self._compiled = total.compiled
-            if self._compiled is None and len(self._tables[0]) == 1:
+            is_large = math.prod(total.shape[:2]) >= _ALL_CODES
+            if self._compiled is None and len(self._tables[0]) == 1 and is_large:
                 self._joint = self._of_all_codes()
 
     def mark_part(self, short: Pixels, long: Pixels, area: Area) -> int:

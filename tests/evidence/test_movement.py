@@ -76,6 +76,20 @@ def test_bytes_are_compared_as_wider_samples_are(colours: int) -> None:
     assert np.array_equal(outside_limits(low, high, *wide), expected)
 
 
+def test_small_frames_are_compared_without_a_table_of_all_samples(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    whole = Mock(side_effect=marks._FramePair._of_all_codes)
+    monkeypatch.setattr(marks._FramePair, "_of_all_codes", lambda pair: whole(pair))
+    masks = [shot("standard", "moving-target", size="96x72").mask()]
+    whole.assert_not_called()
+    monkeypatch.setattr(marks, "_ALL_CODES", 0)
+    masks.append(shot("standard", "moving-target", size="96x72").mask())
+    whole.assert_called()
+    assert np.count_nonzero(masks[0] & 4) > 0
+    assert np.array_equal(masks[0], masks[1])
+
+
 def test_frames_without_noise_have_no_false_alarms() -> None:
     assert found(shot("ideal-8", "tile-floor", size="240x180"))[0] == 0
 
