@@ -96,12 +96,9 @@ def coarser(
     frames = (
         replace(
             frame,
-            electrons_per_level=frame.electrons_per_level * finer,
-            read_noise_levels=_without_step(frame.read_noise_levels, step) / finer,
-            dark_levels=frame.dark_levels / finer,
-            dsnu_levels=frame.dsnu_levels / finer,
+            read_noise_levels=_without_step(frame.read_noise_levels, step),
             black=round(frame.black / finer),
-        )
+        ).in_levels(finer)
         for frame in noise
     )
     return EffectiveCamera.of(response, camera.exposures), tuple(frames)

@@ -28,6 +28,7 @@ from camctl.system.picture_operations import channels_together, reduced_by_area
 
 _WIDTH = 1280  # pixels: fits on the screens of laptops
 _INNER = _WIDTH - 2 * MARGIN
+_HALF = (_INNER - MARGIN) // 2
 #: Largest height of the two pictures, and of a frame.
 _PICTURE_HEIGHT, _FRAME_HEIGHT = 460, 232
 #: Frames side by side at most, and places for frames at least.
@@ -75,7 +76,7 @@ def contact_sheet(
     """
     rows = _frame_rows(details.frames)
     cell, frame_height = _cell(rows)
-    picture = _box(preview, (_INNER - MARGIN) // 2, _PICTURE_HEIGHT)
+    picture = _box(preview, _HALF, _PICTURE_HEIGHT)
     bars = len(details.frames) * _BAR_HEIGHT
     tops = np.cumsum(
         [
@@ -88,7 +89,7 @@ def contact_sheet(
     ).tolist()
     sheet = Drawing(_WIDTH, tops[-1])
     sheet.text(_title(details), (MARGIN, tops[0]), _INNER, size=TITLE)
-    shown, lies = reduced(preview, ((_INNER - MARGIN) // 2, _PICTURE_HEIGHT)), details.orientation
+    shown, lies = reduced(preview, (_HALF, _PICTURE_HEIGHT)), details.orientation
     marked = lies.upright(_marked(light, lies.lying(shown), movement))
     _draw_pictures(sheet, (tops[1], picture), shown, marked, details)
     for number, row in enumerate(rows):
@@ -143,7 +144,7 @@ def _draw_pictures(
     details: PictureDetails,
 ) -> None:
     """Draw the picture and its marks side by side; `place` is their top and their height."""
-    (top, height), width = place, (_INNER - MARGIN) // 2
+    (top, height), width = place, _HALF
     second = MARGIN + width + MARGIN
     sheet.picture(preview, (MARGIN, top), (width, height))
     sheet.picture(marked, (second, top), (width, height))
