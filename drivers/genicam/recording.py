@@ -3,26 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from functools import partial
+from typing import Any, cast
 
 from camctl.drivers.genicam.camera import GenicamCamera
 from camctl.drivers.genicam.libraries import find_device
-from camctl.drivers.genicam.port import (
-    FoundDevice,
-    Kind,
-    Library,
-    Limits,
-    OpenDevice,
-    PacketCounts,
-    Received,
-    Value,
-)
+from camctl.drivers.genicam.port import FoundDevice, Library, OpenDevice, Received
 from camctl.errors import CameraError
-
-AnswerT = TypeVar("AnswerT")
 
 #: Features that tell one camera from others of its model, or its owner.
 _PRIVATE = ("DeviceSerialNumber", "DeviceID", "DeviceUserID")
+#: Methods whose answers open the camera again.
+_KEPT = ("kind", "read", "write", "execute", "limits", "entries", "unit")
 
 
 class RecordingDevice:
@@ -36,73 +28,30 @@ class RecordingDevice:
         self._device = device
         self.calls: list[dict[str, Any]] = []
 
-    def kind(self, name: str) -> Kind | None:
-        return self._kept("kind", (name,), lambda: self._device.kind(name))
+    def __getattr__(self, name: str) -> Any:
+        """Return a method of the device; what is called of `_KEPT` is kept."""
+        method = getattr(self._device, name)
+        return partial(self._kept, name, method) if name in _KEPT else method
 
-    def read(self, name: str) -> Value:
-        return self._kept("read", (name,), lambda: self._device.read(name))
-
-    def write(self, name: str, value: Value) -> None:
-        self._kept("write", (name, value), lambda: self._device.write(name, value))
-
-    def execute(self, name: str) -> None:
-        self._kept("execute", (name,), lambda: self._device.execute(name))
-
-    def limits(self, name: str) -> Limits:
-        return self._kept("limits", (name,), lambda: self._device.limits(name))
-
-    def entries(self, name: str) -> Sequence[str]:
-        return self._kept("entries", (name,), lambda: list(self._device.entries(name)))
-
-    def unit(self, name: str) -> str:
-        return self._kept("unit", (name,), lambda: self._device.unit(name))
-
-    def start(self, buffers: int) -> None:
-        self._device.start(buffers)
-
-    def stop(self) -> None:
-        self._device.stop()
-
-    def receive(self, timeout_s: float) -> Received | None:
-        frame = self._device.receive(timeout_s)
-        if frame is not None:
-            self.calls.append(
-                {
-                    "call": "receive",
-                    "answer": {
-                        "shape": list(frame.shape),
-                        "code": frame.code,
-                        "bytes": int(frame.data.size),
-                        "line_padding": frame.line_padding,
-                        "number": frame.number,
-                        "stamp_s": frame.stamp_s,
-                        "is_complete": frame.is_complete,
-                        "chunks": dict(frame.chunks),
-                    },
-                }
-            )
-        return frame
-
-    def packets(self) -> PacketCounts:
-        return self._device.packets()
-
-    def description(self) -> str:
-        return self._device.description()
-
-    def close(self) -> None:
-        self._device.close()
-
-    def _kept(self, name: str, arguments: tuple[Any, ...], ask: Callable[[], AnswerT]) -> AnswerT:
+    def _kept(self, name: str, ask: Callable[..., Any], *arguments: Any) -> Any:
         entry: dict[str, Any] = {"call": name, "arguments": list(arguments)}
         self.calls.append(entry)
         try:
-            answer = ask()
+            answer = ask(*arguments)
         except CameraError as error:
             entry["error"] = type(error).__name__  # its text has the device's name
             raise
         is_private = name == "read" and arguments[0] in _PRIVATE
         entry["answer"] = "x" if is_private else vars(answer) if name == "limits" else answer
         return answer
+
+    def receive(self, timeout_s: float) -> Received | None:
+        frame = self._device.receive(timeout_s)
+        if frame is not None:
+            kept = {**vars(frame), "bytes": int(frame.data.size)}
+            del kept["data"], kept["arrived_s"]
+            self.calls.append({"call": "receive", "answer": kept})
+        return frame
 
 
 class _RecordingLibrary:
@@ -116,9 +65,9 @@ class _RecordingLibrary:
     def search(self) -> Sequence[FoundDevice]:
         return self._library.search()
 
-    def open(self, device: FoundDevice) -> RecordingDevice:
+    def open(self, device: FoundDevice) -> OpenDevice:
         self.device = RecordingDevice(self._library.open(device))
-        return self.device
+        return cast(OpenDevice, self.device)
 
 
 def record(library: Library, address: str) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from statistics import median
 
 from camctl.drivers.genicam.controls import US_PER_S, ExposureControl
@@ -69,6 +70,7 @@ def no_complete_frame(name: str) -> CameraProtocolError:
     return CameraProtocolError(f"{name} sends no complete frame", hint="check the network")
 
 
+@dataclass(eq=False)
 class TriggeredSlots:
     """A stream in which each frame is released by software; a `camctl.streaming.NumberedSource`.
 
@@ -84,23 +86,15 @@ class TriggeredSlots:
         stated: the exposure that a frame states; None: it states none
     """
 
-    def __init__(
-        self,
-        device: OpenDevice,
-        name: str,
-        exposure: ExposureControl,
-        clock: Clock,
-        silence_s: float,
-        stated: Callable[[Received], ExposureSetting | None],
-    ) -> None:
-        self._device = device
-        self._name = name
-        self._stated = stated
-        self._exposure = exposure
-        self._clock = clock
-        self._silence_s = silence_s
+    device: OpenDevice
+    name: str
+    exposure: ExposureControl
+    clock: Clock
+    silence_s: float
+    stated: Callable[[Received], ExposureSetting | None]
+
+    def __post_init__(self) -> None:
         self._next = 0  # slot of the next trigger
-        self._longest_s = 0.0  # of the settings that may be in force
         self._settings_s: list[float] = []
         self._frame: Received | None = None
 
@@ -110,9 +104,9 @@ class TriggeredSlots:
         Its number is uncertain where a trigger before it was not followed by a frame: a late frame
         cannot be told from the one that was asked for.
         """
-        device = self._device
+        device = self.device
         is_certain = True
-        patience_s = min(_TRANSFER_S, self._silence_s / _TRIGGERS)
+        patience_s = min(_TRANSFER_S, self.silence_s / _TRIGGERS)
         for attempt in range(_TRIGGERS):
             while device.receive(0.0) is not None:
                 is_certain = False  # a frame that came too late for its trigger
@@ -121,18 +115,18 @@ class TriggeredSlots:
             used_s = attempt * patience_s
             frame = wait_for_frame(
                 device,
-                self._clock,
+                self.clock,
                 max(self._settings_s, default=0.0),
-                self._silence_s - used_s if is_last else patience_s,
+                self.silence_s - used_s if is_last else patience_s,
             )
             if frame is not None:
                 self._frame = frame
                 number, self._next = self._next, self._next + 1
-                stated = self._stated(frame) if frame.is_complete else None
+                stated = self.stated(frame) if frame.is_complete else None
                 return FrameStamp(number, frame.arrived_s, is_certain, stated)
             is_certain = False
             self._next += 1
-        raise silent(self._device, self._name, self._silence_s)
+        raise silent(self.device, self.name, self.silence_s)
 
     def read(self) -> Received | None:
         """Return the frame that arrived last; None where packets of it are missing."""
@@ -145,7 +139,7 @@ class TriggeredSlots:
 
     def write(self, setting: ExposureSetting) -> Written:
         """Set the exposure of the next slot, or of a later one where the camera needs longer."""
-        applied = self._exposure.write(setting)
+        applied = self.exposure.write(setting)
         # Settings before this one may still be in force.
         self._settings_s = [*self._settings_s[-8:], applied.time_s]
         return Written(applied, self._next, self._next)
@@ -156,20 +150,20 @@ class TriggeredSlots:
         Raises:
             CameraProtocolError: no frame is complete
         """
-        exposure_s = float(self._device.read(self._exposure.time_name)) / US_PER_S
+        exposure_s = float(self.device.read(self.exposure.time_name)) / US_PER_S
         taken_s: list[float] = []
         found: Received | None = None
         for _ in range(_TIMED_FRAMES):
-            began_s = self._clock.now()
-            self._exposure.forget()
+            began_s = self.clock.now()
+            self.exposure.forget()
             self.write(ExposureSetting(exposure_s, gain))
             self.next_frame()
             if (frame := self.read()) is not None:
                 found = frame
                 decode(frame)
-                taken_s.append(self._clock.now() - began_s - exposure_s)
+                taken_s.append(self.clock.now() - began_s - exposure_s)
         if found is None:
-            raise no_complete_frame(self._name)
+            raise no_complete_frame(self.name)
         return max(0.0, median(taken_s)), found
 
 

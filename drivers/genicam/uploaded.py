@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import KW_ONLY, dataclass
 from typing import Self
 
 from camctl.drivers.genicam import sequencer
@@ -24,6 +25,7 @@ _LEAD = 8
 _BUFFERS = 8
 
 
+@dataclass(eq=False)
 class UploadedSequence:
     """The frames of an uploaded cycle, from its first set on.
 
@@ -38,42 +40,31 @@ class UploadedSequence:
         is_triggered: its triggers are on otherwise
     """
 
-    def __init__(
-        self,
-        device: OpenDevice,
-        name: str,
-        exposure: ExposureControl,
-        scale: Scale,
-        samples: Callable[[Received], Pixels | None],
-        clock: Clock,
-        silence_s: float,
-        *,
-        is_triggered: bool,
-    ) -> None:
-        self._device = device
-        self._name = name
-        self._exposure = exposure
-        self._scale = scale
-        self._samples = samples
-        self._clock = clock
-        self._silence_s = silence_s
-        self._is_triggered = is_triggered
+    device: OpenDevice
+    name: str
+    exposure: ExposureControl
+    scale: Scale
+    samples: Callable[[Received], Pixels | None]
+    clock: Clock
+    silence_s: float
+    _: KW_ONLY
+    is_triggered: bool
 
     def start(self, settings: Sequence[ExposureSetting]) -> None:
         """Upload a cycle and let the camera take it again and again."""
-        self._device.stop()
-        if self._is_triggered:
-            self._device.write("TriggerMode", "Off")
-        sequencer.upload(self._device, settings, self._exposure, self._name)
-        self._device.start(len(settings) + _LEAD + _BUFFERS)
+        self.device.stop()
+        if self.is_triggered:
+            self.device.write("TriggerMode", "Off")
+        sequencer.upload(self.device, settings, self.exposure, self.name)
+        self.device.start(len(settings) + _LEAD + _BUFFERS)
 
     def stop(self) -> None:
         """Leave the sequencer; other frames can be taken again."""
-        device = self._device
+        device = self.device
         with suppress(CameraError):
             device.stop()
         sequencer.turn_off(device)
-        if self._is_triggered:
+        if self.is_triggered:
             device.write("TriggerMode", "On")
         device.start(_BUFFERS)
 
@@ -95,9 +86,9 @@ class UploadedSequence:
 
     def _next(self, settings: Sequence[ExposureSetting]) -> Received:
         longest_s = max(setting.time_s for setting in settings)
-        received = wait_for_frame(self._device, self._clock, longest_s, self._silence_s)
+        received = wait_for_frame(self.device, self.clock, longest_s, self.silence_s)
         if received is None:
-            raise silent(self._device, self._name, self._silence_s)
+            raise silent(self.device, self.name, self.silence_s)
         return received
 
     def _first_cycle(self, settings: Sequence[ExposureSetting]) -> list[Received]:
@@ -111,12 +102,12 @@ class UploadedSequence:
             if received.is_complete:
                 taken.append(received)
             window = taken[-count:]
-            pixels = [self._samples(each) for each in window]
+            pixels = [self.samples(each) for each in window]
             found = [each for each in pixels if each is not None]
-            if len(found) == count and first_in_order(found, settings, self._scale) == 0:
+            if len(found) == count and first_in_order(found, settings, self.scale) == 0:
                 return window
         raise CameraProtocolError(
-            f"the pixels do not show with which frame the sequencer of {self._name} begins",
+            f"the pixels do not show with which frame the sequencer of {self.name} begins",
             hint="keep the scene steady, light it, or leave the sequencer off",
             remedies={"option:sequencer": "off"},
         )
