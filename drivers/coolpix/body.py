@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from camctl.drivers.common.serial_link import SerialLink
 from camctl.drivers.coolpix.pictures import (
     CardPicture,
-    Progress,
     download,
     is_next,
     newest_picture,
@@ -90,7 +89,6 @@ class CoolpixBody:
         speed: the highest speed to use, baud
         timeout_s: see `Sierra`
         clock: of timestamps, and for all waiting
-        progress: see `camctl.drivers.coolpix.pictures.Progress`
 
     Raises:
         UsageError, CameraNotFoundError, CameraBusyError, CameraTimeoutError: it cannot be opened
@@ -105,12 +103,10 @@ class CoolpixBody:
         speed: int,
         timeout_s: float,
         clock: Clock,
-        progress: Progress | None,
     ) -> None:
         self._url = url
         self._format = file_format
         self._clock = clock
-        self._progress = progress
         self._pending: _Pending | None = None
         self._left_on_card = ""
         self._link = SerialLink(url, FIRST_SPEED)
@@ -152,7 +148,7 @@ class CoolpixBody:
             pending = self._pending
             assert pending is not None
             began_s = self._clock.now()
-            data, still = download(self.sierra, picture, self._progress)
+            data, still = download(self.sierra, picture)
             download_s = self._clock.now() - began_s
             self._check_file(data, picture, pending.applied)
         except SessionOverError:
@@ -184,7 +180,7 @@ class CoolpixBody:
         resolution = read_register_or_none(self.sierra, Register.RESOLUTION)
         if len(summary) != _SUMMARY_BYTES or int.from_bytes(summary[12:16], "little") != resolution:
             return None
-        _, still = download(self.sierra, picture, self._progress)
+        _, still = download(self.sierra, picture)
         return picture.name, still
 
     # ---- the exposure

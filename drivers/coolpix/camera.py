@@ -10,7 +10,7 @@ from pydantic import field_validator
 from camctl.drivers.common.response_option import ResponseOptions
 from camctl.drivers.common.still_camera import StillTimes
 from camctl.drivers.coolpix.body import CoolpixBody, Shot
-from camctl.drivers.coolpix.pictures import KnownFiles, Progress
+from camctl.drivers.coolpix.pictures import KnownFiles
 from camctl.drivers.coolpix.sierra.packets import SPEEDS, RefusedCommandError, Register
 from camctl.drivers.coolpix.sierra.session import Sierra
 from camctl.findings import note
@@ -63,7 +63,6 @@ class CoolpixCamera(CameraBase):
         url: a port such as /dev/ttyUSB0, or a URL such as socket://host:port
         options: see `CoolpixOptions`
         clock: of timestamps, and for all waiting
-        progress: called with name, bytes received and size while a picture is downloaded
         timeout_s: time without a valid answer after which a call fails; exposures take longer
     """
 
@@ -73,13 +72,11 @@ class CoolpixCamera(CameraBase):
         options: CoolpixOptions | None = None,
         *,
         clock: Clock | None = None,
-        progress: Progress | None = None,
         timeout_s: float = 12.0,
     ) -> None:
         super().__init__(f"the camera at {url}", clock if clock is not None else RealClock())
         self._url = url
         self._options = options if options is not None else CoolpixOptions()
-        self._progress = progress
         self._timeout_s = timeout_s
 
     def _open(self) -> None:
@@ -89,7 +86,6 @@ class CoolpixCamera(CameraBase):
             speed=self._options.speed,
             timeout_s=self._timeout_s,
             clock=self._clock,
-            progress=self._progress,
         )
         try:
             self._info = identity(self._body.sierra, self._url)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -27,9 +26,6 @@ _POLL_S = 0.05
 _NO_CARD = 1
 _LOW_BATTERY_PERCENT = 5
 _BITS_PER_BYTE = 10  # on the line, with start and stop bit
-
-Progress = Callable[[str, int, int], None]
-"""Called with the name of a picture, the bytes received, and the size of its file."""
 
 
 class KnownFiles:
@@ -146,9 +142,7 @@ def wait_for_picture(
         clock.sleep_until(clock.now() + _POLL_S)
 
 
-def download(
-    sierra: Sierra, picture: CardPicture, progress: Progress | None
-) -> tuple[bytes, Still]:
+def download(sierra: Sierra, picture: CardPicture) -> tuple[bytes, Still]:
     """Return the file of a picture and its contents; repeated if the file is incomplete.
 
     Raises:
@@ -158,7 +152,7 @@ def download(
     """
     for attempt in range(_DOWNLOAD_ATTEMPTS):
         try:
-            data = _file_of(sierra, picture, progress)
+            data = _file_of(sierra, picture)
             return data, read_still(data, picture.name)
         except CameraProtocolError:
             if attempt == _DOWNLOAD_ATTEMPTS - 1:
@@ -166,16 +160,11 @@ def download(
     raise AssertionError("unreachable")
 
 
-def _file_of(sierra: Sierra, picture: CardPicture, progress: Progress | None) -> bytes:
+def _file_of(sierra: Sierra, picture: CardPicture) -> bytes:
     size = sierra.get(Register.PICTURE_BYTES, picture=picture.number)
     if not 0 < size <= _MAX_PICTURE_BYTES:
         raise _transfer_error(sierra, f"stated an invalid size of {size} bytes for {picture.label}")
-
-    def report(received: int) -> None:
-        if progress is not None:
-            progress(picture.label, received, size)
-
-    data = sierra.read(Register.PICTURE_DATA, size, picture=picture.number, progress=report)
+    data = sierra.read(Register.PICTURE_DATA, size, picture=picture.number)
     if len(data) != size:
         raise _transfer_error(sierra, f"sent {len(data)} of {size} bytes of {picture.label}")
     return data

@@ -37,7 +37,7 @@ def coolpix_on(device: SierraDevice, url: str | None = None, **arguments: Any) -
 
     Arguments that are not of `CoolpixCamera` itself are options.
     """
-    own = {name: arguments.pop(name) for name in ("progress", "timeout_s") if name in arguments}
+    own = {name: arguments.pop(name) for name in ("timeout_s",) if name in arguments}
     options = CoolpixOptions.parse({"format": "tiff", "response": "linear", **arguments})
     camera = CoolpixCamera(url or device.line.path, options, clock=device.clock, **own)
     return camera.open()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from camctl.drivers.common.serial_link import SerialLink
 from camctl.drivers.coolpix.sierra.packets import (
     ACK,
@@ -79,7 +77,6 @@ class Commands:
         self,
         payload: bytes,
         limit: int,
-        progress: Callable[[int], None] | None = None,
         *,
         max_silences: int = MAX_SILENCES,
     ) -> bytes:
@@ -88,7 +85,6 @@ class Commands:
         Args:
             payload: of the command
             limit: most bytes that may come
-            progress: called with the number of bytes received, after each packet
             max_silences: time-outs after which the command fails
         """
         data = bytearray()
@@ -125,8 +121,6 @@ class Commands:
             if len(data) > limit:
                 raise self.protocol_error(f"more than {limit} bytes")
             self.link.write(bytes((ACK,)))
-            if progress is not None:
-                progress(len(data))
             if reply.kind == LAST_DATA:
                 return bytes(data)
             last, expected, bad_answers, silences = reply.data, expected + 1, 0, 0

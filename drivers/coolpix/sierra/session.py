@@ -117,26 +117,18 @@ class Sierra:
         """
         self._exchange(lambda: self._commands.send(setting(register, value)))
 
-    def read(
-        self,
-        register: Register,
-        limit: int,
-        *,
-        picture: int | None = None,
-        progress: Callable[[int], None] | None = None,
-    ) -> bytes:
+    def read(self, register: Register, limit: int, *, picture: int | None = None) -> bytes:
         """Return a register of data, of the picture of that number if one is given.
 
         Args:
             register: the register
             limit: most bytes that may come
             picture: number of the picture, from 1
-            progress: called with the number of bytes received, after each packet
 
         Raises:
             RefusedCommandError: the camera has no such register, or cannot read it now
         """
-        return self._of_picture(picture, bytes((GET_DATA, register)), limit, progress)
+        return self._of_picture(picture, bytes((GET_DATA, register)), limit)
 
     def text(self, register: Register, *, picture: int | None = None) -> str:
         """Return a register of data as printable text; raises as `read`."""
@@ -240,17 +232,11 @@ class Sierra:
     def _has_ended(self) -> bool:
         return SESSION_END in self.link.read_waiting(DRAIN_BYTES)
 
-    def _of_picture(
-        self,
-        picture: int | None,
-        payload: bytes,
-        limit: int,
-        progress: Callable[[int], None] | None = None,
-    ) -> bytes:
+    def _of_picture(self, picture: int | None, payload: bytes, limit: int) -> bytes:
         # A new session does not keep the number of the picture, so each attempt sets it.
         def request() -> bytes:
             if picture is not None:
                 self._commands.send(setting(Register.PICTURE, picture))
-            return self._commands.request(payload, limit, progress)
+            return self._commands.request(payload, limit)
 
         return self._exchange(request)

@@ -161,14 +161,6 @@ class TestPictures:
         for what in ("shutter_us", "aperture", "quality", "speed", "session"):
             assert after[what] == before[what]
 
-    def test_progress_is_reported(self, device: SierraDevice) -> None:
-        reports: list[tuple[str, int, int]] = []
-        with coolpix_on(device, progress=lambda *report: reports.append(report)) as camera:
-            shoot(camera, SETTINGS[:1])
-        name, received, size = reports[-1]
-        assert name == device.camera.pictures[-1].name
-        assert received == size == len(device.camera.pictures[-1].data)
-
 
 class TestFileFormat:
     """The format of the frames is known before the first frame."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, cast
 
 import numpy as np
@@ -37,14 +36,7 @@ class Registers:
             raise value
         return value
 
-    def read(
-        self,
-        register: Register,
-        limit: int,
-        *,
-        picture: int | None = None,
-        progress: Callable[[int], None] | None = None,
-    ) -> Any:
+    def read(self, register: Register, limit: int, *, picture: int | None = None) -> Any:
         return self.get(register)
 
     text = get
@@ -64,7 +56,7 @@ class TestDownload:
         sierra = session(
             {Register.PICTURE_BYTES: [len(JPEG)], Register.PICTURE_DATA: [first, first, JPEG]}
         )
-        data, still = download(sierra, PICTURE, None)
+        data, still = download(sierra, PICTURE)
         assert data == JPEG
         assert still.pixels.shape == (8, 8)
 
@@ -74,13 +66,13 @@ class TestDownload:
         with pytest.raises(
             CameraProtocolError, match=rf"invalid size of {size} bytes for DSCN0003\.JPG"
         ) as caught:
-            download(sierra, PICTURE, None)
+            download(sierra, PICTURE)
         assert caught.value.hint
 
     def test_a_file_that_stays_incomplete_is_an_error(self) -> None:
         sierra = session({Register.PICTURE_BYTES: [len(JPEG)], Register.PICTURE_DATA: [JPEG[:9]]})
         with pytest.raises(CameraProtocolError, match=rf"sent 9 of {len(JPEG)} bytes of DSCN0003"):
-            download(sierra, PICTURE, None)
+            download(sierra, PICTURE)
 
 
 class TestNewPictures:
