@@ -17,6 +17,7 @@ import usb.core
 from command_line import Run
 from ptp_bench import bench
 from v4l2_model import Model
+from virtual_usb_bus import VirtualBackend
 
 from camctl.drivers.common.usb import UDEV_RULES
 from camctl.drivers.coolpix import backend as coolpix_backend
@@ -28,7 +29,6 @@ from camctl.profiles.folder import list_profiles
 from camctl.sim.devices.clock import RealDeviceClock
 from camctl.sim.devices.ptp.camera import PtpCamera as VirtualStill
 from camctl.sim.devices.sierra.device import SierraDevice, make
-from camctl.sim.devices.usb.backend import VirtualBackend
 
 BASE = ("--base", "1/125", "--ratios", "1,2,4")
 

@@ -7,6 +7,8 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+from virtual_usb_bus import VirtualBackend
+
 from camctl.drivers.ptp.backend import PtpBackend
 from camctl.drivers.ptp.camera import PtpCamera, PtpOptions
 from camctl.interface.camera import Camera, Frame
@@ -16,7 +18,6 @@ from camctl.sim.devices.common import VirtualSensor
 from camctl.sim.devices.ptp.camera import PtpCamera as VirtualCamera
 from camctl.sim.devices.ptp.config import PtpConfig
 from camctl.sim.devices.ptp.device import PtpDevice
-from camctl.sim.devices.usb.backend import VirtualBackend
 from camctl.sim.scenes.scene import load_scene
 from camctl.sim.sensors.sensor import load_sensor
 

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import usb.core
 from numpy.typing import NDArray
-
-from camctl.sim.devices.usb.backend import VirtualBackend
+from virtual_usb_bus import VirtualBackend
 
 Control = tuple[int, int, int]  # entity, selector, size in bytes
 

@@ -18,10 +18,10 @@ from types import SimpleNamespace
 from typing import Any, NoReturn
 
 from usb.core import USBError, USBTimeoutError
+from virtual_usb_bus import DescribedBackend
 
 from camctl.sim.devices.ptp.camera import configuration_descriptor, device_descriptor
 from camctl.sim.devices.ptp.config import Identity
-from camctl.sim.devices.usb.backend import DescribedBackend
 from camctl.sim.devices.usb.endpoints import parse_configuration, parse_device
 
 MODEL = Identity(0x04B0, 0x0437, "Nikon Corporation", "D750 (vusb)")

@@ -1,4 +1,4 @@
-"""PTP/IP packets (CIPA DC-005-2005), and the two ends of a connection to a virtual camera."""
+"""PTP/IP packets (CIPA DC-005-2005), and a virtual camera's end of a connection."""
 
 from __future__ import annotations
 
@@ -163,57 +163,3 @@ class Connection:
         with self.camera.lock:
             self.is_open = False
             self.camera.connection_lost(self)
-
-
-class HostConnection:
-    """A connection to a camera in this process, in the time of the camera's clock.
-
-    Args:
-        camera: the camera
-
-    Raises:
-        ConnectionRefusedError: it is switched off
-    """
-
-    def __init__(self, camera: Listener) -> None:
-        if not camera.is_attached:
-            raise ConnectionRefusedError
-        self._clock = camera.clock
-        self._received = bytearray()
-        self._end: bool | None = None  # whether it was reset
-        self._changed = threading.Event()
-        self._connection = camera.accept(self)
-
-    def deliver(self, data: bytes) -> None:
-        self._received += data
-        self._changed.set()
-
-    def end(self, *, is_reset: bool) -> None:
-        self._end = is_reset
-        self._changed.set()
-
-    def send(self, data: bytes, timeout_s: float) -> None:
-        """Send bytes to the camera (ConnectionResetError: it has closed the connection)."""
-        if self._end is not None:
-            raise ConnectionResetError
-        self._connection.received(data)
-
-    def receive(self, size: int, timeout_s: float) -> bytes:
-        """Return up to `size` bytes; b"" at the end (TimeoutError: none came)."""
-        self._changed.clear()
-        if not self._received and self._end is None:
-            self._clock.wait_for(self._changed, self._clock.now() + timeout_s)
-        if self._received:
-            part = bytes(self._received[:size])
-            del self._received[:size]
-            return part
-        if self._end is None:
-            raise TimeoutError
-        if self._end:
-            raise ConnectionResetError
-        return b""
-
-    def close(self) -> None:
-        if self._end is None:
-            self._end = False
-            self._connection.lost()

@@ -1,8 +1,7 @@
 """A PTP still camera in the network: PTP/IP, the packets of CIPA DC-005-2005.
 
 A host opens two connections to one port: the first for commands and data, the second for events,
-pings and cancellations.  `TcpPort` has the sockets, and
-`camctl.sim.devices.ptp.link.HostConnection` connects a host in the same process.
+pings and cancellations.  `TcpPort` has the sockets.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 Endpoints behave as on the bus: a transfer is cut into packets of the endpoint's size, and a short
 or empty packet ends the host's read.  A read for more bytes than the device has sent goes on
-waiting if the last packet was a full one.  A transport (`camctl.sim.devices.usb.backend`,
-`camctl.sim.devices.usb.vhci`) passes the host's reads, writes and control requests to the device.
+waiting if the last packet was a full one.  A transport such as `camctl.sim.devices.usb.vhci` passes
+the host's reads, writes and control requests to the device.
 """
 
 from __future__ import annotations

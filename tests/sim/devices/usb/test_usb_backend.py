@@ -13,10 +13,10 @@ import usb.core
 import usb.util
 from hypothesis import given
 from hypothesis import strategies as st
+from virtual_usb_bus import VirtualBackend
 
 from camctl.errors import UsageError
 from camctl.sim.devices.clock import DeviceClock, RealDeviceClock, VirtualDeviceClock
-from camctl.sim.devices.usb.backend import VirtualBackend
 from camctl.sim.devices.usb.device import NO_REPLY, STALL, ControlReply, UsbDevice
 
 PACKET = 64

@@ -15,10 +15,10 @@ import uvc_host as uvc
 from hypothesis import given
 from hypothesis import strategies as st
 from uvc_host import GAIN, INFO, MODE, TIME, WHITE, Control, Host
+from virtual_usb_bus import VirtualBackend
 
 from camctl.errors import UsageError
 from camctl.sim.devices.clock import VirtualDeviceClock
-from camctl.sim.devices.usb.backend import VirtualBackend
 from camctl.sim.devices.usb.device import ControlFailure
 from camctl.sim.devices.uvc.camera import UvcCamera, make
 

@@ -16,12 +16,12 @@ import pytest
 import usb.core
 from numpy.typing import NDArray
 from uvc_host import BACKLIGHT, BRIGHTNESS, GAIN, MODE, PRIORITY, TIME, WHITE_AUTO, Control, Host
+from virtual_usb_bus import VirtualBackend
 
 from camctl.interface.controls import ExposureSetting, Layout
 from camctl.sim.camera import SimulatedCamera
 from camctl.sim.devices.clock import DeviceClock, RealDeviceClock, VirtualDeviceClock
 from camctl.sim.devices.common import VirtualSensor
-from camctl.sim.devices.usb.backend import VirtualBackend
 from camctl.sim.devices.uvc.camera import UvcCamera, make
 from camctl.sim.scenes.scene import load_scene
 from camctl.sim.sensors.sensor import load_sensor
