@@ -5,14 +5,15 @@ from __future__ import annotations
 from typing import Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import Field, FiniteFloat, model_validator
 
 from camctl.interface.colour import BT709_PRIMARIES, D65, CameraColour, Triple, rgb_to_xyz
+from camctl.profiles.record import Record
 
 _Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
 
-class ColourRecord(BaseModel):
+class ColourRecord(Record):
     """How R, G and B of a camera become linear BT.709: `matrix` @ (`white_balance` x (R, G, B)).
 
     Attributes:
@@ -23,8 +24,6 @@ class ColourRecord(BaseModel):
         patches: number of patches that were measured
         measured_at: date and time, ISO 8601
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     matrix: tuple[_Row, _Row, _Row]
     white_balance: tuple[FiniteFloat, FiniteFloat, FiniteFloat]

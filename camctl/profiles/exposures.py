@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from camctl.interface.controls import ExposureControls, ExposureSetting, Layout
+from camctl.profiles.record import Record
 
 #: Relative difference of settings that count as the same.
 _SAME = 1e-4
@@ -17,7 +18,7 @@ _SAME = 1e-4
 _WIDEST_STEP = 2.1
 
 
-class Correction(BaseModel):
+class Correction(Record):
     """The true effect of one setting on the exposure, over the stated one.
 
     Attributes:
@@ -26,8 +27,6 @@ class Correction(BaseModel):
         low: lower end of the 95 % confidence interval of `factor`
         high: upper end
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     value: float = Field(gt=0, allow_inf_nan=False)
     factor: float = Field(gt=0, allow_inf_nan=False)
@@ -63,7 +62,7 @@ class Correction(BaseModel):
         return not self.low <= 1.0 <= self.high
 
 
-class ExposureRecord(BaseModel):
+class ExposureRecord(Record):
     """The true exposures of a camera's settings in one mode.
 
     The exposure of a setting is the stated one times the factors of its time and of its gain.
@@ -75,8 +74,6 @@ class ExposureRecord(BaseModel):
         interpolates: whether the camera also has the shutter times between those measured
         measured_at: date and time, ISO 8601
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     version: Literal[1] = 1
     times: tuple[Correction, ...] = Field(max_length=10_000)

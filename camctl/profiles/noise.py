@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import Field, FiniteFloat, model_validator
 
 from camctl.findings import Finding, note
 from camctl.model.noise import NoiseModel
+from camctl.profiles.record import Record
 
 MOST_HOT_PIXELS = 10_000
 """Hot pixels that a record keeps, the brightest ones."""
@@ -17,7 +18,7 @@ MOST_HOT_PIXELS = 10_000
 _MOST = 1000
 
 
-class Figure(BaseModel):
+class Figure(Record):
     """A measured number >= 0 with its 95 % confidence interval.
 
     Attributes:
@@ -25,8 +26,6 @@ class Figure(BaseModel):
         low: lower end of the interval
         high: upper end
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     value: float = Field(ge=0, allow_inf_nan=False)
     low: float = Field(ge=0, allow_inf_nan=False)
@@ -52,7 +51,7 @@ class Figure(BaseModel):
         return Figure(value=self.value * factor, low=self.low * factor, high=self.high * factor)
 
 
-class CurvePoint(BaseModel):
+class CurvePoint(Record):
     """One group of samples of like brightness of a photon transfer curve.
 
     Attributes:
@@ -61,14 +60,12 @@ class CurvePoint(BaseModel):
         fitted: the same by the fit
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     mean: FiniteFloat
     variance: FiniteFloat
     fitted: FiniteFloat
 
 
-class GainNoise(BaseModel):
+class GainNoise(Record):
     """The noise at one gain.
 
     Attributes:
@@ -80,8 +77,6 @@ class GainNoise(BaseModel):
             response differs from the one assumed, or where the camera filters its pictures
         curve: the photon transfer curve
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     gain: float = Field(gt=0, allow_inf_nan=False)
     conversion_e_per_dn: Figure
@@ -104,7 +99,7 @@ class GainNoise(BaseModel):
         return self.model_copy(update={"conversion_e_per_dn": conversion, "curve": curve})
 
 
-class HotPixel(BaseModel):
+class HotPixel(Record):
     """A pixel whose dark signal grows far faster than in the others.
 
     Attributes:
@@ -113,14 +108,12 @@ class HotPixel(BaseModel):
         rate_e_s: dark signal minus the dark signal of the median pixel, electrons a second
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     row: int = Field(ge=0)
     column: int = Field(ge=0)
     rate_e_s: float = Field(ge=0, allow_inf_nan=False)
 
 
-class DarkRecord(BaseModel):
+class DarkRecord(Record):
     """What frames without light show.
 
     Attributes:
@@ -135,8 +128,6 @@ class DarkRecord(BaseModel):
         measured_at: date and time, ISO 8601
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     gain: float = Field(gt=0, allow_inf_nan=False)
     times_s: tuple[FiniteFloat, ...] = Field(max_length=_MOST)
     dark_current_e_s: Figure
@@ -147,7 +138,7 @@ class DarkRecord(BaseModel):
     measured_at: str
 
 
-class NoiseRecord(BaseModel):
+class NoiseRecord(Record):
     """The measured noise of a camera in one mode.
 
     Attributes:
@@ -162,8 +153,6 @@ class NoiseRecord(BaseModel):
         findings: what the user should know
         measured_at: date and time, ISO 8601
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     version: Literal[1] = 1
     gains: tuple[GainNoise, ...] = Field(min_length=1, max_length=_MOST)

@@ -37,6 +37,7 @@ from camctl.interface.controls import Layout
 from camctl.profiles.colour import ColourRecord
 from camctl.profiles.exposures import ExposureRecord
 from camctl.profiles.noise import NoiseRecord
+from camctl.profiles.record import Record
 from camctl.profiles.response import ResponseRecord
 from camctl.system.files import file_lock, make_folder, storage_error, write_bytes
 from camctl.system.input_files import first_problem, read_input
@@ -61,7 +62,7 @@ _STORAGE_HINT = "check the disk, or set $CAMCTL_PROFILES to another folder"
 _Text = Annotated[str, StringConstraints(max_length=1000)]
 
 
-class FrameTiming(BaseModel):
+class FrameTiming(Record):
     """When the frames of a camera come.
 
     Attributes:
@@ -73,8 +74,6 @@ class FrameTiming(BaseModel):
         lost: frames of the stream that did not come while it was measured
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     frame_interval_s: float = Field(ge=0, le=_LONGEST_S, allow_inf_nan=False)
     jitter_s: float = Field(ge=0, le=_LONGEST_S, allow_inf_nan=False)
     readout_s: float = Field(ge=0, le=_LONGEST_S, allow_inf_nan=False)
@@ -82,7 +81,7 @@ class FrameTiming(BaseModel):
     lost: int = Field(ge=0)
 
 
-class DelayRecord(BaseModel):
+class DelayRecord(Record):
     """The measured control delay of a camera in one mode.
 
     Attributes:
@@ -98,8 +97,6 @@ class DelayRecord(BaseModel):
         measured_at: date and time, ISO 8601
         timing: of the stream; None where it was not measured
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     frames: int | None
     smallest: int = Field(ge=-1, le=_MOST_DELAY)
@@ -127,7 +124,7 @@ class DelayRecord(BaseModel):
         return MeasuredDelay(self.smallest, self.largest, self.time, self.gain, readout_s)
 
 
-class StillRecord(BaseModel):
+class StillRecord(Record):
     """Pixel format of the files that a still camera makes in one format.
 
     Attributes:
@@ -138,8 +135,6 @@ class StillRecord(BaseModel):
         black: brightness without light, DN
         white: brightness from which samples are saturated, DN
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     rows: int = Field(ge=1, le=1 << 20)
     columns: int = Field(ge=1, le=1 << 20)
@@ -155,7 +150,7 @@ class StillRecord(BaseModel):
         return self
 
 
-class TimingRecord(BaseModel):
+class TimingRecord(Record):
     """What a still camera needs beside its exposures; see `camctl.CaptureTiming`.
 
     Attributes:
@@ -164,8 +159,6 @@ class TimingRecord(BaseModel):
         download_s: transfer and decoding of a file
         overlaps: a file is downloaded during the next exposure
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     settling_s: float = Field(ge=0, le=_LONGEST_S, allow_inf_nan=False)
     readout_s: float = Field(ge=0, le=_LONGEST_S, allow_inf_nan=False)

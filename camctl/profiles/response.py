@@ -6,11 +6,12 @@ from dataclasses import replace
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import Field, FiniteFloat, model_validator
 
 from camctl.errors import unknown_name
 from camctl.model.response.camera import CameraResponse, FloatArray
 from camctl.model.response.measured import measured_response
+from camctl.profiles.record import Record
 
 #: Logarithm of the ratio of irradiances from which their deviation shows the exponent's.
 _LEAST_DISTANCE = 1.0
@@ -20,7 +21,7 @@ _CONTINUED = 0.25
 _Curve = Annotated[tuple[FiniteFloat, ...], Field(max_length=65538)]
 
 
-class ChannelResponse(BaseModel):
+class ChannelResponse(Record):
     """The response of one channel as a curve: irradiance of ascending brightness.
 
     Attributes:
@@ -35,8 +36,6 @@ class ChannelResponse(BaseModel):
         measured: the least and the largest brightness that the frames determine; the curve outside
             continues it smoothly
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str
     black: int = Field(ge=0, le=65535)
@@ -136,7 +135,7 @@ class ChannelResponse(BaseModel):
         return self
 
 
-class ResponseRecord(BaseModel):
+class ResponseRecord(Record):
     """The measured response of each channel of a camera in one mode.
 
     Attributes:
@@ -146,8 +145,6 @@ class ResponseRecord(BaseModel):
         frames: number of frames used
         measured_at: date and time, ISO 8601
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     version: Literal[1] = 1
     channels: tuple[ChannelResponse, ...] = Field(min_length=1, max_length=3)

@@ -13,7 +13,7 @@ from typing import (
 )
 
 from pydantic import ConfigDict, TypeAdapter
-from typing_extensions import TypedDict
+from typing_extensions import TypedDict, is_typeddict
 
 from camctl.calibration.results import (
     ColourResult,
@@ -37,7 +37,6 @@ from camctl.studies.capture_study import CapturePoint, CaptureRun
 from camctl.studies.simulation_study import SimulationPoint, SimulationRun
 from camctl.studies.solver_study import SolverPoint, SolverRun
 
-_CLOSED = ConfigDict(extra="forbid")
 Version = Literal[1]
 
 
@@ -51,8 +50,6 @@ class _Error(TypedDict):
 
 class Failure(TypedDict):
     """What any command prints where it fails."""
-
-    __pydantic_config__ = _CLOSED  # type: ignore[misc]  # pydantic reads it
 
     format_version: Version
     error: _Error
@@ -98,8 +95,6 @@ class _Rated(_Levels):
 class Solved(_Rated):
     """The best exposures: `camctl solve`."""
 
-    __pydantic_config__ = _CLOSED  # type: ignore[misc]
-
     seconds: float
     evaluations: int
     objective: Literal["xi", "accuracy"]
@@ -139,8 +134,6 @@ class Sensitivity(TypedDict):
 class Evaluated(_Rated):
     """How good given exposures are: `camctl evaluate`."""
 
-    __pydantic_config__ = _CLOSED  # type: ignore[misc]
-
     levels: int
     levels_distinct: int
     effective_levels_equal_exposures: NotRequired[float]
@@ -168,8 +161,6 @@ class ShownEntry(TypedDict):
 class ShownTable(TypedDict):
     """Rows of an exposure table, with the noise of a camera: `camctl table show`."""
 
-    __pydantic_config__ = _CLOSED  # type: ignore[misc]
-
     format_version: Version
     entries: list[ShownEntry]
     noise: NoiseModel | None
@@ -177,8 +168,6 @@ class ShownTable(TypedDict):
 
 class BuiltTable(TypedDict):
     """A new exposure table: `camctl table build`."""
-
-    __pydantic_config__ = _CLOSED  # type: ignore[misc]
 
     format_version: Version
     file: str
@@ -199,8 +188,6 @@ class PreviewedResponse(TypedDict):
 class Previewed(TypedDict):
     """What the camera sees: `camctl preview`."""
 
-    __pydantic_config__ = _CLOSED  # type: ignore[misc]
-
     format_version: Version
     file: str
     findings: list[Finding]
@@ -215,8 +202,6 @@ class Previewed(TypedDict):
 
 class Streamed(TypedDict):
     """A stream that has ended: `camctl live`."""
-
-    __pydantic_config__ = _CLOSED  # type: ignore[misc]
 
     format_version: Version
     results: int
@@ -283,8 +268,6 @@ class SimulatedBracket(_Bounds):
 class Named(TypedDict):
     """A profile that was imported: `camctl profile import`."""
 
-    __pydantic_config__ = _CLOSED  # type: ignore[misc]
-
     format_version: Version
     name: str
     file: str
@@ -293,8 +276,6 @@ class Named(TypedDict):
 class Removed(TypedDict):
     """The file of a profile that was removed: `camctl profile remove`."""
 
-    __pydantic_config__ = _CLOSED  # type: ignore[misc]
-
     format_version: Version
     removed: str
 
@@ -302,16 +283,12 @@ class Removed(TypedDict):
 class Cameras(TypedDict):
     """The connected cameras: `camctl cameras`."""
 
-    __pydantic_config__ = _CLOSED  # type: ignore[misc]
-
     format_version: Version
     cameras: list[CameraInfo]
 
 
 class Profiles(TypedDict):
     """All profiles: `camctl profile list`."""
-
-    __pydantic_config__ = _CLOSED  # type: ignore[misc]
 
     format_version: Version
     profiles: list[Profile]
@@ -328,8 +305,6 @@ class Figure(TypedDict):
 
 class Figures(TypedDict):
     """Figures that were drawn: `camctl figures`."""
-
-    __pydantic_config__ = _CLOSED  # type: ignore[misc]
 
     format_version: Version
     figures: list[Figure]
@@ -429,7 +404,10 @@ def schema(name: str) -> dict[str, Any]:
     elif name in ROWS:
         found = _rows(*ROWS[name])
     else:
-        found = TypeAdapter(TYPES[name]).json_schema(mode="serialization")
+        kind = TYPES[name]
+        if is_typeddict(kind):
+            kind.__pydantic_config__ = ConfigDict(extra="forbid")
+        found = TypeAdapter(kind).json_schema(mode="serialization")
     of_object = found["$defs"]["Profile"] if name == "profile list" else found
     for field, kind in BESIDE.get(name, {}).items():
         of_object["properties"][field] = TypeAdapter(kind).json_schema()
