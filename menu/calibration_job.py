@@ -6,8 +6,7 @@ from collections.abc import Callable
 from contextlib import closing
 
 from camctl.calibrate import dark
-from camctl.calibration.single_steps import StepOptions, StepResult, dark_text
-from camctl.calibration.steps import OpenCamera, calibrate
+from camctl.calibration.steps import OpenCamera, StepOptions, StepResult, calibrate, dark_text
 from camctl.errors import InterruptedCaptureError
 from camctl.findings import Finding
 from camctl.interface.clock import cancelled_by

@@ -24,7 +24,7 @@ from camctl.menu.data import Picture, Reading
 from camctl.menu.thumbnails import BINS, COLUMNS, ROWS, focus_value
 
 if TYPE_CHECKING:  # a camera that does not stream does not load it
-    from camctl.livestream.following import Look
+    from camctl.livestream.planning import Look
     from camctl.livestream.result import LiveResult
     from camctl.livestream.stream import Live
 
@@ -80,7 +80,7 @@ class LiveView:
             UsageError: the camera has no exposures for the request
             CameraError: as the camera raises
         """
-        from camctl.livestream.following import Look
+        from camctl.livestream.planning import Look
         from camctl.livestream.stream import live
 
         with self._lock:

@@ -14,7 +14,7 @@ from camctl.menu.model import Action, Goal, Model, State
 from camctl.menu.ports import Line, Mood, Panel, Screen
 from camctl.menu.tables import KEYS, STATES, Kind
 from camctl.menu.text import format_levels, format_short_time, format_total, gain_in_words
-from camctl.messages.guidance import COVERED, STILL_SCENE
+from camctl.messages.calibration import COVERED, STILL_SCENE
 from camctl.system.number_text import range_text
 
 #: Text of a waiting screen until there is progress to show.

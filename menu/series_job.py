@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from camctl.captures.series import Series
-from camctl.captures.series_sets import CameraSets
-from camctl.captures.series_tools import SeriesProgress, SeriesTools, date_by
+from camctl.captures.series_sets import CameraSets, SeriesProgress, SeriesTools, date_by
 from camctl.errors import CaptureError
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import Camera

@@ -22,8 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.light import metered
-from camctl.calibration.refusals import too_bright
+from camctl.calibration.light import metered, too_bright
 from camctl.calibration.timing import measure_stream_timing
 from camctl.errors import CameraProtocolError, CaptureError, DataError, UsageError
 from camctl.findings import Finding

@@ -12,9 +12,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from camctl.calibration.light import LONGEST_S, spread_times
+from camctl.calibration.light import LONGEST_S, spread_times, too_bright, too_dark
 from camctl.calibration.limits import DIM
-from camctl.calibration.refusals import too_bright, too_dark
 from camctl.errors import CaptureError
 from camctl.evidence.patches import Patches, sample_patches
 from camctl.evidence.ratios import RatioEstimates, comparable_frames, estimate_ratios

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, computed_field
 
 from camctl.calibration import emva
 from camctl.calibration.plots import draw_exposures, draw_response, draw_transfer, panel
-from camctl.calibration.single_steps import StepResult
+from camctl.calibration.steps import StepResult
 from camctl.errors import UsageError
 from camctl.findings import Finding
 from camctl.interface.camera import CameraInfo

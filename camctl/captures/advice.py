@@ -11,8 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from camctl.captures.plan import plan_for
-from camctl.captures.setting_findings import NOTABLE_DIFFERENCE
+from camctl.captures.plan import NOTABLE_DIFFERENCE, plan_for
 from camctl.errors import CaptureError, DataError, UsageError
 from camctl.evidence.ratio_check import LAMP_DEPTH, MOST, SMALL_THING
 from camctl.exposure.goal import AUTO, CURVE, XI, CaptureRequest

@@ -62,7 +62,9 @@ class FrameChecks:
         self._log = ShotLog(
             capture.plan.settings,
             self._controls,
-            self._compare_shots,
+            lambda one, other, expected: self._check.compare(
+                self._shots[one], self._shots[other], expected
+            ),
             lambda shot: float(self._shots[shot].patches.mean()),
             capture.request.mains_hz,
         )
@@ -142,9 +144,6 @@ class FrameChecks:
     def settle(self) -> None:
         """Record that the camera settles at each exposure from now on."""
         self._log.settle()
-
-    def _compare_shots(self, one: int, other: int, expected: float) -> RatioCheck:
-        return self._check.compare(self._shots[one], self._shots[other], expected)
 
     def judge(self) -> list[ExposureRatio]:
         """Write into the report what the frames say of their exposures; return those to use."""

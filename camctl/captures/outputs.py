@@ -38,10 +38,15 @@ from camctl.pictures.ghosts.choice import find_ghosts
 from camctl.pictures.ghosts.replacement import Ghosts
 from camctl.pictures.light_shares import LightShares, light_shares
 from camctl.pictures.render import Rendering, Tables
-from camctl.records.frame import ExposureRatio, FrameRecord, StoredFrame
+from camctl.records.frame import (
+    ExposureRatio,
+    FrameRecord,
+    StoredFrame,
+    simulation_summary,
+    without_plan,
+)
 from camctl.records.frame_store import CaptureStore
 from camctl.records.report import Achieved, CaptureReport, Irradiance, UnfinishedCapture
-from camctl.records.simulation_summary import simulation_summary, without_plan
 from camctl.system.memory import return_free_memory
 
 #: Codes of findings that say why frames contradict each other where nothing moved.

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from camctl.captures.gallery import make_thumbnail, write_gallery
-from camctl.captures.series_tools import SeriesProgress, SeriesTools, SetTaker
+from camctl.captures.series_sets import SeriesProgress, SeriesTools, SetTaker
 from camctl.errors import (
     CamctlError,
     CameraError,
@@ -172,7 +172,9 @@ class Series:
             if not report.trustworthy:
                 because = report.untrustworthy_because
                 self._tools.warn(f"{record.folder} is not trustworthy: {because}")
-            self._set_bytes = _folder_bytes(directory)
+            self._set_bytes = sum(
+                path.stat().st_size for path in directory.rglob("*") if path.is_file()
+            )
             record.has_thumbnail = make_thumbnail(self.directory, record)
             self._run_hook(directory, record)
         record.seconds = self._tools.clock.now() - began
@@ -345,7 +347,3 @@ class Series:
     @property
     def _remedies(self) -> dict[str, Any]:
         return {"resume": resumption(self.directory, self.journal.source)}
-
-
-def _folder_bytes(directory: Path) -> int:
-    return sum(path.stat().st_size for path in directory.rglob("*") if path.is_file())

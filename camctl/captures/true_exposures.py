@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from camctl.captures.setting_findings import NOTABLE_DIFFERENCE
+from camctl.captures.plan import NOTABLE_DIFFERENCE
 from camctl.errors import DataError
 from camctl.evidence.patches import Patches
 from camctl.evidence.ratios import estimate_comparable

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from camctl.captures.setting_findings import NOTABLE_DIFFERENCE
+from camctl.captures.plan import NOTABLE_DIFFERENCE
 from camctl.evidence.delay import DelayError
 from camctl.evidence.ratio_check import MOST, RatioCheck
 from camctl.findings import Finding

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -122,6 +123,13 @@ _CHOICE = {
 """Options of a request whose help pages say something else of photographs."""
 
 
+_TITLES: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
+    ("ISO", "gain", lambda gain: f"{100 * gain:.0f}"),
+    ("aperture", "f_number", lambda number: "unknown" if number is None else f"f/{number:.2g}"),
+)
+"""What may differ between photographs beside the time: its heading, its name, and its text."""
+
+
 @command(
     examples=(
         ("camctl merge IMG_0*.JPG", "a bracket, with the exposures in its EXIF data"),
@@ -179,10 +187,9 @@ def _print(report: CaptureReport, found: MergePlan, directory: Path, *, as_json:
         found.photographs,
         key=lambda each: each["time_s"] * each["gain"] / (each["f_number"] or 1) ** 2,
     )
-    # What differs between them beside the time, as in a bracket of ISO speeds or apertures.
     more = [
         (title, key, text)
-        for title, key, text in (("ISO", "gain", _iso), ("aperture", "f_number", _f_number))
+        for title, key, text in _TITLES
         if len({each[key] for each in photographs}) > 1
     ]
     rows = [
@@ -204,11 +211,3 @@ def _print(report: CaptureReport, found: MergePlan, directory: Path, *, as_json:
     ]
     parts += [f"response: {found.opened.response}", *facts, ""]
     print_text("\n".join([*parts, capture_text(report, directory)]))
-
-
-def _iso(gain: float) -> str:
-    return f"{100 * gain:.0f}"
-
-
-def _f_number(f_number: float | None) -> str:
-    return "unknown" if f_number is None else f"f/{f_number:.2g}"

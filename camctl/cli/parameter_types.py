@@ -311,7 +311,7 @@ class Settings(_ValueType):
             return self._read(text)
         parts = text.split(":")
         if len(parts) == 3:
-            from camctl.exposure.settings_grid import stepped
+            from camctl.exposure.exposure_choices import stepped
 
             return tuple(stepped(*(self._value(part.strip(), option) for part in parts)).tolist())
         if len(parts) != 1 or not text.replace(",", " ").split():

@@ -21,8 +21,7 @@ from time import process_time
 from camctl.errors import UsageError
 from camctl.exposure.accurate.sets import AccurateSets
 from camctl.exposure.evaluation import evaluate
-from camctl.exposure.exposure_choices import AccuracyProblem, Rated
-from camctl.exposure.settings_grid import SAME
+from camctl.exposure.exposure_choices import SAME, AccuracyProblem, Rated
 from camctl.exposure.solver import Progress, Solution
 from camctl.model.effective import MOST_SEARCHED, check_count
 
@@ -174,7 +173,8 @@ def most_accurate(
     if not near_tie or is_bound:
         return best
     levels = (1 - near_tie) * best.levels
-    return min(best, search.nearly_as_accurate(best, levels), key=_time_then_count)
+    nearly = search.nearly_as_accurate(best, levels)
+    return min(best, nearly, key=lambda each: (each.time, len(each.shots)))
 
 
 def least_time(search: AccurateSets, limit: float, accuracy: float) -> Rated:
@@ -197,10 +197,6 @@ def least_time(search: AccurateSets, limit: float, accuracy: float) -> Rated:
         hint=f"the best has {best.levels:.4g} in {search.problem.available.duration(best.time)}; "
         "request fewer levels, or allow more exposures or more time",
     )
-
-
-def _time_then_count(rated: Rated) -> tuple[float, int]:
-    return rated.time, len(rated.shots)
 
 
 def _solution(problem: AccuracyProblem, rated: Rated) -> AccuracySolution:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from camctl.errors import UsageError
 from camctl.exposure.candidates import BatchScore
+from camctl.exposure.exposure_choices import SAME, SettingsGrid
 from camctl.exposure.objective import MAX_DIRECT_LEVELS, ExposureProblem, Objective
-from camctl.exposure.settings_grid import SAME, SettingsGrid
 from camctl.exposure.solver import (
     Progress,
     SearchOptions,

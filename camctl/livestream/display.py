@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.interface.controls import Layout
-from camctl.livestream.following import Look
+from camctl.livestream.planning import Look
 from camctl.livestream.result import LiveResult
 from camctl.livestream.tables import SumTable
 from camctl.pictures.preview import LIFTED, exposure_of, srgb_codes

@@ -26,8 +26,7 @@ from camctl.interface.clock import VirtualClock, cancelled_by
 from camctl.interface.controls import ExposureControls
 from camctl.interface.cycle import CyclingCamera, FrameCycle
 from camctl.livestream.disagreement import Disagreement, OtherExposures, other_exposures
-from camctl.livestream.following import Following, Look
-from camctl.livestream.planning import LivePlanner, measured_noise
+from camctl.livestream.planning import Following, LivePlanner, Look, measured_noise
 from camctl.livestream.result import Arrays, LiveResult
 from camctl.livestream.tables import ExposureSet, KeptTables, SumTable
 from camctl.livestream.window import Window

@@ -19,7 +19,7 @@ import numpy as np
 from camctl.exposure.light import SHOWN_STOPS, counts_in_stops
 from camctl.interface.controls import ExposureControls
 from camctl.livestream.display import Display
-from camctl.livestream.following import Look
+from camctl.livestream.planning import Look
 from camctl.livestream.result import LiveResult
 from camctl.livestream.stream import Live
 from camctl.messages.plain import sentence

@@ -1,4 +1,4 @@
-"""The plain sentences of what calibrations find; see `camctl.messages.plain`."""
+"""What a person does before a calibration, and the plain sentences of what it finds."""
 
 from __future__ import annotations
 
@@ -182,3 +182,15 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
     "delay_irregular": _delay_irregular,
 }
 """The sentence of each code of a calibration."""
+
+
+STILL_SCENE: Final = (
+    "Put the camera on a tripod before a scene that does not move, with dark and bright parts and "
+    "many shades between: a room with a window, a desk under a lamp.",
+    "Its light must be steady: daylight without moving clouds, or a lamp that does not flicker.",
+    "Switch automatic exposure, gain, white balance and focus off. It takes a few minutes.",
+)
+COVERED: Final = (
+    "Cover the lens, with its cap or a dark cloth. What the pictures then show is the dark signal "
+    "and hot pixels."
+)

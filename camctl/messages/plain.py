@@ -110,13 +110,6 @@ def _frame_white(finding: Finding) -> str:
     )
 
 
-def _frame_damaged(finding: Finding) -> str:
-    return (
-        f"{_share(finding.value)} of frame {finding.frames[0] + 1} shows no scene, since samples "
-        "there do not depend on their neighbours: it was damaged on its way from the camera"
-    )
-
-
 def _lines_damaged(finding: Finding) -> str:
     assert finding.place is not None  # as where the finding was made
     return (
@@ -321,7 +314,10 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
     "stream_settles": _stream_settles,
     "delay_contradicts": _delay_contradicts,
     "frame_white": _frame_white,
-    "frame_damaged": _frame_damaged,
+    "frame_damaged": lambda finding: (
+        f"{_share(finding.value)} of frame {finding.frames[0] + 1} shows no scene, since samples "
+        "there do not depend on their neighbours: it was damaged on its way from the camera"
+    ),
     "lines_damaged": _lines_damaged,
     "lines_repeated": _lines_repeated,
     "exposure_estimated": _exposure_estimated,

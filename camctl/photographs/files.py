@@ -187,7 +187,8 @@ class PhotographFiles:
         time_s = None if self._times is None else self._times[position]
         if path.suffix.lower() == _EXR:
             linear, photograph = _read_exr(path, time_s, self._full)
-            this = Format(linear.shape, _layout_of(linear), 16, 0, _FULL_EXR, True, colour=BT709)
+            layout = Layout.MONO if linear.ndim == 2 else Layout.RGB
+            this = Format(linear.shape, layout, 16, 0, _FULL_EXR, True, colour=BT709)
             return linear, this, photograph, ("",) * 3
         still, stated = read_photograph(path)
         photograph = _photograph(path, still, stated, time_s)
@@ -271,10 +272,6 @@ def _check_alike(path: Path, this: Format, first: Path, other: Format) -> None:
                 f"{path} has {sizes[0]} pixels and {first} has {sizes[1]}",
                 hint="give photographs of one size; turned ones must be turned alike",
             )
-
-
-def _layout_of(pixels: Pixels) -> Layout:
-    return Layout.MONO if pixels.ndim == 2 else Layout.RGB
 
 
 def _largest_of_exr(paths: Sequence[Path]) -> float:

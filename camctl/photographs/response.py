@@ -7,9 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from camctl.calibration.response.colours import NUMBERS, PatchRatios, grey_scales, score
+from camctl.calibration.response.colours import (
+    NUMBERS,
+    HistogramRatios,
+    PatchRatios,
+    grey_scales,
+    score,
+)
 from camctl.calibration.response.estimate import estimate_response
-from camctl.calibration.response.histogram_ratios import HistogramRatios
 from camctl.errors import DataError
 from camctl.findings import Detail, Finding
 from camctl.interface.colour import CameraColour

@@ -25,10 +25,9 @@ from camctl.interface.controls import Layout, ResponseOrigin
 from camctl.messages.plain import sentence, sentences
 from camctl.model.noise import MeasuredNoise, NoiseModel
 from camctl.records.capture_plan import CapturePlan
-from camctl.records.frame import FrameRecord, StoredFrame
+from camctl.records.frame import FrameRecord, SimulationSummary, StoredFrame
 from camctl.records.html import report_html
 from camctl.records.kept_light import KeptLight
-from camctl.records.simulation_summary import SimulationSummary
 
 FORMAT_VERSION = 3
 """Version of report.json and of the folder's files; readers accept 2, too."""

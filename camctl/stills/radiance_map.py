@@ -202,14 +202,6 @@ def _read_rgbe_row(data: bytes, position: int, row: NDArray[np.uint8]) -> int:
     return position
 
 
-def _npy_shape(path: Path) -> Shape:
-    return tuple(np.load(path, mmap_mode="r", allow_pickle=False).shape)
-
-
-def _npy(path: Path) -> Map:
-    return np.load(path, allow_pickle=False), ()
-
-
 _EXR = _FileType(partial(fact_apart, exr_shape), partial(map_apart, read_exr))
 _TIFF = _FileType(partial(fact_apart, tiff_shape), partial(map_apart, read_tiff))
 _FILE_TYPES = {
@@ -218,6 +210,9 @@ _FILE_TYPES = {
     ".exr": _EXR,
     ".tif": _TIFF,
     ".tiff": _TIFF,
-    ".npy": _FileType(_npy_shape, _npy),
+    ".npy": _FileType(
+        lambda path: tuple(np.load(path, mmap_mode="r", allow_pickle=False).shape),
+        lambda path: (np.load(path, allow_pickle=False), ()),
+    ),
 }
 SUFFIXES = tuple(_FILE_TYPES)

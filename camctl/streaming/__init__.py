@@ -11,11 +11,18 @@ timestamps.
 """
 
 from camctl.interface.controls import resting_setting
-from camctl.streaming.control_delay import ControlDelay, DelayOrigin, with_delay
+from camctl.streaming.control_delay import (
+    ControlDelay,
+    DelayOrigin,
+    FrameStamp,
+    NumberedSource,
+    Written,
+    mean_brightness,
+    with_delay,
+)
 from camctl.streaming.cycle import ExposureCycle, StreamCycle
 from camctl.streaming.frame_clock import FrameClock, TimestampedSource, TimestampedStream
 from camctl.streaming.pipeline import ExposurePipeline, Shot
-from camctl.streaming.source import FrameStamp, NumberedSource, Written, mean_brightness
 
 __all__ = [
     "ControlDelay",

@@ -21,9 +21,8 @@ from camctl.errors import CameraError
 from camctl.interface.camera import CyclePlace, Frame
 from camctl.interface.controls import ExposureControls, ExposureSetting, resting_setting
 from camctl.interface.cycle import CycleMethod, check_not_empty
-from camctl.streaming.control_delay import ASSUMED_LARGEST, ControlDelay
+from camctl.streaming.control_delay import ASSUMED_LARGEST, ControlDelay, FrameStamp, NumberedSource
 from camctl.streaming.pipeline import ExposurePipeline, Shot
-from camctl.streaming.source import FrameStamp, NumberedSource
 from camctl.streaming.stated_exposures import StatedExposures, is_same
 
 DataT = TypeVar("DataT")

@@ -22,7 +22,7 @@ from typing import Generic, Protocol, TypeVar
 from camctl.errors import CameraProtocolError
 from camctl.interface.clock import Clock
 from camctl.interface.controls import ExposureSetting
-from camctl.streaming.source import FrameStamp, Written, irregular_frames
+from camctl.streaming.control_delay import FrameStamp, Written, irregular_frames
 
 DataT = TypeVar("DataT")
 DataT_co = TypeVar("DataT_co", covariant=True)

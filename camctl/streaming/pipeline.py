@@ -20,8 +20,15 @@ from typing import Generic, TypeVar
 from camctl.errors import CameraError, CameraProtocolError
 from camctl.interface.camera import CyclePlace
 from camctl.interface.controls import ExposureSetting
-from camctl.streaming.control_delay import ASSUMED_LARGEST, ControlDelay, DelayOrigin
-from camctl.streaming.source import FrameStamp, NumberedSource, irregular_frames, same_brightness
+from camctl.streaming.control_delay import (
+    ASSUMED_LARGEST,
+    ControlDelay,
+    DelayOrigin,
+    FrameStamp,
+    NumberedSource,
+    irregular_frames,
+    same_brightness,
+)
 from camctl.streaming.stated_exposures import StatedExposures, is_same
 
 DataT = TypeVar("DataT")

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Generic, Self, TypeVar
 
 from camctl.interface.controls import ExposureSetting
-from camctl.streaming.source import FrameStamp, NumberedSource, Written, same_brightness
+from camctl.streaming.control_delay import FrameStamp, NumberedSource, Written, same_brightness
 
 DataT = TypeVar("DataT")
 

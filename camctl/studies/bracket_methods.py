@@ -16,11 +16,29 @@ from camctl.exposure.brackets import near_gain_1
 from camctl.exposure.build import look_up
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.search.front import Front
-from camctl.exposure.search.timed_problem import gain_choices
+from camctl.exposure.search.wall_time import gain_choices
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.response.desired import DesiredResponse
 from camctl.studies.noise_optimal import NoiseOptimalProblem, noise_optimal
-from camctl.studies.paper_table import PRINTED_TABLE
+
+PRINTED_TABLE: dict[tuple[str, int], tuple[float, ...]] = {
+    ("linear", 2): (1, 1.003),
+    ("linear", 3): (1, 1.003, 2.985),
+    ("linear", 4): (1, 1.015, 1.019, 3.672),
+    ("linear", 5): (1, 1.003, 1.007, 1.166, 4.975),
+    ("linear", 6): (1, 1.003, 1.007, 1.031, 1.078, 5.636),
+    ("gamma", 2): (1, 3.094),
+    ("gamma", 3): (1, 1.003, 5.146),
+    ("gamma", 4): (1, 1.003, 3.019, 11.23),
+    ("gamma", 5): (1, 1.003, 1.006, 5.049, 18.56),
+    ("gamma", 6): (1, 1.003, 1.006, 2.866, 8.564, 33.7),
+    ("log", 2): (1, 20.24),
+    ("log", 3): (1, 9.91, 88.38),
+    ("log", 4): (1, 4.689, 37.23, 280),
+    ("log", 5): (1, 4.831, 29.18, 144.9, 763.5),
+    ("log", 6): (1, 3.979, 16.01, 64.22, 305.4, 1130),
+}
+"""Printed exposures by desired response (gamma is 1/2) and number of exposures."""
 
 
 @dataclass(frozen=True)
@@ -62,10 +80,6 @@ def _xi(bracket: Bracket) -> tuple[ExposureSetting, ...]:
     return bracket.at_gain(tuple(row.exposures))
 
 
-def _paper(bracket: Bracket) -> tuple[ExposureSetting, ...]:
-    return bracket.at_gain(PRINTED_TABLE[bracket.desired.key, bracket.count])
-
-
 def _stops(stops: float, bracket: Bracket) -> tuple[ExposureSetting, ...]:
     return fixed_steps(bracket.controls, bracket.base_s, bracket.count, stops)
 
@@ -100,7 +114,7 @@ FRONT = "front"
 
 METHODS: dict[str, Callable[[Bracket], tuple[ExposureSetting, ...]]] = {
     "xi": _xi,
-    "paper": _paper,
+    "paper": lambda each: each.at_gain(PRINTED_TABLE[each.desired.key, each.count]),
     "hasinoff": _hasinoff,
     "equal": partial(_stops, 0),
     "doubling": partial(_stops, 1),

@@ -15,6 +15,7 @@ from camctl.model.effective import EffectiveCamera
 from camctl.model.response.camera import CameraResponse, linear_response
 from camctl.model.response.desired import desired_response
 from camctl.profiles.calibrated import open_camera
+from camctl.studies.bracket_methods import PRINTED_TABLE
 from camctl.studies.figure_parts import (
     BASELINE,
     COMPUTED,
@@ -26,7 +27,6 @@ from camctl.studies.figure_parts import (
     draw_staircase,
     ratios_text,
 )
-from camctl.studies.paper_table import PRINTED_TABLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -20,14 +20,14 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     as_completed,
 )
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from multiprocessing import resource_tracker
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any, TypeVar
 
 from camctl.errors import ResourceError, UsageError
-from camctl.studies.kept_results import KeptResults
+from camctl.studies.rows import KeptResults
 
 ItemT = TypeVar("ItemT")
 ResultT = TypeVar("ResultT")
@@ -78,15 +78,12 @@ def run_all(
         for place in places:
             finish(place, function(items[place]))
     else:
-        with _losses(address, found, len(items)), _executor(address, count) as executor:
+        chosen = cluster_executor(address) if address else processes(count)
+        with _losses(address, found, len(items)), chosen as executor:
             futures = {executor.submit(function, items[place]): place for place in places}
             for future in as_completed(futures):
                 finish(futures[future], future.result())
     return [found[place] for place in range(len(items))]
-
-
-def _executor(address: str | None, count: int) -> AbstractContextManager[Executor]:
-    return cluster_executor(address) if address else processes(count)
 
 
 @contextmanager

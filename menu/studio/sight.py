@@ -20,7 +20,7 @@ from camctl.menu.thumbnails import gradient
 from camctl.system.picture_operations import jpeg, opencv, png, reduced_by_area
 
 if TYPE_CHECKING:
-    from camctl.livestream.following import Look as Light
+    from camctl.livestream.planning import Look as Light
     from camctl.livestream.result import LiveResult
 
 Codes = NDArray[np.uint8]

@@ -28,8 +28,7 @@ from accuracy import RAMP_COLUMNS, SEED, ramp_base_s, sensor_without_lens, shoot
 
 from camctl.calibration.noise.dark import measure_dark
 from camctl.calibration.noise.shooting import measure_noise
-from camctl.calibration.single_steps import StepOptions
-from camctl.calibration.steps import calibrate
+from camctl.calibration.steps import StepOptions, calibrate
 from camctl.interface.camera import Camera
 from camctl.profiles.calibrated import with_profile
 from camctl.profiles.exposures import exposure_mode

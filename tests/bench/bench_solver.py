@@ -23,9 +23,9 @@ from pathlib import Path
 import numpy as np
 
 from camctl.exposure.build import build_table, table_jobs
+from camctl.exposure.exposure_choices import SettingsGrid
 from camctl.exposure.grid_search import solve_settings
 from camctl.exposure.objective import xi
-from camctl.exposure.settings_grid import SettingsGrid
 from camctl.exposure.solver import SearchOptions, solve
 from camctl.model.effective import EffectiveCamera
 from camctl.model.response.auto import auto_response

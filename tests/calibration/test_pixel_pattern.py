@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from camctl.calibration.noise.pattern import View, sensitivity_pattern
-from camctl.calibration.single_steps import PatternSteps, StepOptions
+from camctl.calibration.steps import PatternSteps, StepOptions
 from camctl.errors import DataError
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureControls, Layout

@@ -11,8 +11,7 @@ import pytest
 
 from camctl.calibration.noise.dark import measure_dark
 from camctl.calibration.noise.shooting import measure_noise
-from camctl.calibration.single_steps import StepOptions, StepResult, dark_step, noise_step
-from camctl.calibration.steps import calibrate
+from camctl.calibration.steps import StepOptions, StepResult, calibrate, dark_step, noise_step
 from camctl.captures.sequencer import capture
 from camctl.errors import CameraDisconnectedError
 from camctl.exposure.goal import CaptureRequest

@@ -14,7 +14,7 @@ from camctl.errors import UsageError
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.search.best import objective_of
 from camctl.exposure.search.front import Front
-from camctl.exposure.search.timed_problem import gain_choices
+from camctl.exposure.search.wall_time import gain_choices
 from camctl.interface.controls import Choices, ExposureControls, Layout, ResponseOrigin, Steps
 from camctl.model.noise import NoiseModel
 from camctl.model.response.desired import desired_response

@@ -18,8 +18,7 @@ from series_bench import Bench, FakeSets, ScriptedKeys, journal
 from small_cameras import gradient, small_camera
 
 from camctl.captures.series import Series
-from camctl.captures.series_sets import CameraSets
-from camctl.captures.series_tools import SeriesProgress, SeriesTools
+from camctl.captures.series_sets import CameraSets, SeriesProgress, SeriesTools
 from camctl.errors import (
     CameraDisconnectedError,
     CameraError,

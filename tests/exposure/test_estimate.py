@@ -9,8 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import camctl
-from camctl.exposure.accurate.dark_zone import frame_accuracy
-from camctl.exposure.accurate.estimate import FrameAccuracy
+from camctl.exposure.accurate.estimate import FrameAccuracy, frame_accuracy
 from camctl.exposure.accurate.judge import Judge
 from camctl.exposure.accurate.sets import NEAR_BEST
 from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures, Shot

@@ -7,10 +7,10 @@ import pytest
 
 from camctl.errors import DataError, UsageError
 from camctl.exposure import grid_search
+from camctl.exposure.exposure_choices import SettingsGrid, stepped
 from camctl.exposure.grid_search import solve_settings
 from camctl.exposure.noise import NoiseTerm
 from camctl.exposure.objective import Objective, xi
-from camctl.exposure.settings_grid import SettingsGrid, stepped
 from camctl.exposure.solver import SearchOptions, Solution, solve
 from camctl.model.effective import EffectiveCamera
 from camctl.model.response.auto import auto_response

@@ -15,11 +15,15 @@ import pytest
 
 from camctl.exposure.accuracy import COUNTS, accurate_sets
 from camctl.exposure.candidates import BatchScore
-from camctl.exposure.exposure_choices import AccuracyProblem, AvailableExposures, TimeCosts
+from camctl.exposure.exposure_choices import (
+    AccuracyProblem,
+    AvailableExposures,
+    SettingsGrid,
+    TimeCosts,
+)
 from camctl.exposure.grid_search import solve_settings
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.exposure.objective import ExposureProblem
-from camctl.exposure.settings_grid import SettingsGrid
 from camctl.exposure.solver import SearchOptions, solve
 from camctl.model.effective import EffectiveCamera
 from camctl.model.noise import NoiseModel

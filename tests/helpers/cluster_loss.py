@@ -28,7 +28,7 @@ from pydantic_core import to_json
 from camctl.errors import ResourceError
 from camctl.studies import parallel
 from camctl.studies.capture_study import CapturePoint, CaptureRun, rate
-from camctl.studies.kept_results import KeptResults
+from camctl.studies.rows import KeptResults
 
 CLUSTER = """
 import sys

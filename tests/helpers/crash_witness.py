@@ -48,8 +48,7 @@ from small_cameras import WrappedCamera
 
 import camctl
 from camctl.captures.series import Series
-from camctl.captures.series_sets import CameraSets
-from camctl.captures.series_tools import SeriesTools
+from camctl.captures.series_sets import CameraSets, SeriesTools
 from camctl.errors import CamctlError
 from camctl.exposure.build import build_table, discard_rows, look_up, table_jobs
 from camctl.exposure.table import ExposureTable

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 from camctl.captures.series import Series
-from camctl.captures.series_tools import SeriesProgress, SeriesTools
+from camctl.captures.series_sets import SeriesProgress, SeriesTools
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import CameraInfo
 from camctl.interface.clock import VirtualClock

@@ -9,8 +9,7 @@ import pytest
 from small_cameras import small_camera
 
 from camctl.exposure.goal import CaptureRequest
-from camctl.livestream.following import Following, Look
-from camctl.livestream.planning import LivePlanner
+from camctl.livestream.planning import Following, LivePlanner, Look
 
 STEADY = Look(np.array([0.1, 0.9]), np.array([0.5, 0.5]), highlight=0.9, clipped=0.0, dark=0.01)
 CHANGES = {

@@ -13,7 +13,14 @@ from sampling import some
 import camctl
 from camctl.captures import outputs
 from camctl.errors import CaptureError
-from camctl.studies.bracket_methods import FRONT, METHODS, Bracket, bracket_settings, offers
+from camctl.studies.bracket_methods import (
+    FRONT,
+    METHODS,
+    PRINTED_TABLE,
+    Bracket,
+    bracket_settings,
+    offers,
+)
 from camctl.studies.capture_rows import CaptureStudy
 from camctl.studies.capture_study import (
     CapturePoint,
@@ -23,7 +30,6 @@ from camctl.studies.capture_study import (
     rate,
     simulated_camera,
 )
-from camctl.studies.paper_table import PRINTED_TABLE
 
 RUN = CaptureRun("equal", 1, "log", 1000.0, 0.019, sensor="standard", size="160x120", seeds=(0, 1))
 

@@ -19,7 +19,7 @@ import pytest
 
 from camctl.errors import DataError
 from camctl.studies import parallel
-from camctl.studies.kept_results import KeptResults
+from camctl.studies.rows import KeptResults
 
 
 def test_results_are_in_the_order_of_the_items_in_this_process() -> None:

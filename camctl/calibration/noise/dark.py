@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.intervals import root_of_ratio
+from camctl.calibration.light import check_size
 from camctl.calibration.limits import DIM, FEW
 from camctl.calibration.noise.pattern import HOT
-from camctl.calibration.refusals import check_size
 from camctl.errors import DataError
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureSetting

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.intervals import certain, root_of_ratio
+from camctl.calibration.light import all_saturated, moved
 from camctl.calibration.limits import DIM, FEW, LEAST_PATCHES, MOST_MOVED
 from camctl.calibration.noise.curve import NoiseCurve
 from camctl.calibration.noise.fit import NoiseFit, combine_fits, fit_noise
 from camctl.calibration.noise.pairs import FramePair, PairPatches, channel_names, reduce_pair
-from camctl.calibration.refusals import all_saturated, moved
 from camctl.errors import DataError
 from camctl.findings import Finding
 from camctl.interface.controls import ExposureSetting, Layout

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.intervals import certain, chi_squared_limit
+from camctl.calibration.light import moved
 from camctl.calibration.limits import DIM, LEAST_PATCHES, ROUNDS
 from camctl.calibration.noise.curve import LEAST_VARIANCE, NoiseCurve, TransferCurve
 from camctl.calibration.noise.pairs import PairPatches
-from camctl.calibration.refusals import moved
 from camctl.errors import DataError
 from camctl.model.quantiles import Z_95
 from camctl.model.response.camera import FloatArray

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.calibration.intervals import certain
+from camctl.calibration.light import check_size
 from camctl.calibration.limits import MOST_MOVED
-from camctl.calibration.refusals import check_size
 from camctl.errors import DataError
 from camctl.evidence.patches import Patches, sample_patches
 from camctl.interface.controls import ExposureSetting, Layout

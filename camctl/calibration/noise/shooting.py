@@ -6,10 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from camctl.calibration.light import LONGEST_S, metered, probes, spread_times
+from camctl.calibration.light import LONGEST_S, metered, probes, spread_times, too_bright, too_dark
 from camctl.calibration.limits import DIM, FEW
 from camctl.calibration.noise.estimate import NoiseFrames, estimate_noise, same_response
-from camctl.calibration.refusals import too_bright, too_dark
 from camctl.interface.camera import Camera
 from camctl.interface.controls import Control, ExposureSetting
 from camctl.model.response.camera import CameraResponse

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.calibration.light import all_saturated, moved
 from camctl.calibration.limits import DIM, FEW, LEAST_PATCHES, MOST_MOVED
-from camctl.calibration.refusals import all_saturated, moved
 from camctl.calibration.response.fit import ChartSamples, ResponseFit
 from camctl.calibration.response.matches import Matches
 from camctl.calibration.response.series import Series

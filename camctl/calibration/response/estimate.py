@@ -26,7 +26,7 @@ from camctl.calibration.response.checks import (
     check_range,
     shows_exposure,
 )
-from camctl.calibration.response.colours import NUMBERS, PatchRatios, score
+from camctl.calibration.response.colours import NUMBERS, PatchRatios, score, series_matches
 from camctl.calibration.response.exponent import (
     Exponent,
     common_exponent,
@@ -41,7 +41,6 @@ from camctl.calibration.response.fit import (
     ResponseFit,
     fit_response,
 )
-from camctl.calibration.response.histogram_ratios import series_matches
 from camctl.calibration.response.labels import LabelCheck, check_labels
 from camctl.calibration.response.matches import LEAST_PIXELS, Matches, all_matches
 from camctl.calibration.response.noise import correct_matches
@@ -141,7 +140,11 @@ def estimate_response(
     if estimate_ratios and exposures.size > 1 and (chart or not series.exposures_are_stated):
         exponent = common_exponent([each.exponent(exposures) for each in channels])
         exposures = exposures**exponent.value
-        findings += _exponent_findings(exponent, chart)
+        if chart is None:
+            missing = {"times": None}
+            findings.append(
+                Finding(code="exponent_unknown", value=exponent.error, remedies=missing)
+            )
     saturating = {name: _saturates(series, name) for name in series.channels}
     if exposures.size > 1 and not is_rough:
         channels = _without_noise(channels, exposures, exposure_error)
@@ -179,11 +182,6 @@ def _without_noise(
     return [
         each.without_noise(fit) for each, fit in zip(channels, first * len(channels), strict=False)
     ]
-
-
-def _exponent_findings(exponent: Exponent, chart: Chart | None) -> Iterator[Finding]:
-    if chart is None:
-        yield Finding(code="exponent_unknown", value=exponent.error, remedies={"times": None})
 
 
 def _chart_findings(

@@ -12,8 +12,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.calibration.light import check_size
 from camctl.calibration.limits import DIM, LEAST_PATCHES
-from camctl.calibration.refusals import check_size
 from camctl.calibration.response.matches import INDEPENDENT, guess_exposures, neighbour_steps
 from camctl.calibration.response.spill import SampleGrid, grid_counts
 from camctl.errors import UsageError
@@ -182,18 +182,14 @@ class Series:
         """
         self._moved.clear()
         for pair in pairwise(np.argsort(self.exposures, kind="stable").tolist()):
-            if (moved := self._moved_between(*pair)) is not None:
+            short, long = (self._grids[frame].planes for frame in pair)
+            if (moved := moved_samples(short, long, self.black, self.white)) is not None:
                 for frame in pair:
                     self._moved[frame] = self._moved.get(frame, np.zeros_like(moved)) | moved
 
     def forget_moved(self) -> None:
         """Count what moved, too."""
         self._moved.clear()
-
-    def _moved_between(self, short: int, long: int) -> NDArray[np.bool_] | None:
-        return moved_samples(
-            self._grids[short].planes, self._grids[long].planes, self.black, self.white
-        )
 
     @property
     def moved_share(self) -> float:

@@ -9,9 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.calibration.light import LONGEST_S, PROBE_STEP, probes, spread_times
+from camctl.calibration.light import (
+    LONGEST_S,
+    PROBE_STEP,
+    probes,
+    spread_times,
+    too_bright,
+    too_dark,
+)
 from camctl.calibration.limits import FEW
-from camctl.calibration.refusals import too_bright, too_dark
 from camctl.calibration.response.series import Series
 from camctl.findings import Finding
 from camctl.interface.camera import Camera

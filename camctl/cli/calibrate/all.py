@@ -20,10 +20,10 @@ from camctl.cli.output import (
     progress_bar,
     without_stage,
 )
-from camctl.messages.guidance import COVERED, STILL_SCENE
+from camctl.messages.calibration import COVERED, STILL_SCENE
 
 if TYPE_CHECKING:
-    from camctl.calibration.single_steps import StepResult
+    from camctl.calibration.steps import StepResult
     from camctl.findings import Finding
     from camctl.profiles.noise import NoiseRecord
 
@@ -68,8 +68,7 @@ def all(camera: CameraOptions, longest_s: float, as_json: bool) -> None:
     two can). Otherwise measure these with camctl calibrate noise --flat and --dark.
     """
     from camctl.calibration.results import StepsResult
-    from camctl.calibration.single_steps import StepOptions
-    from camctl.calibration.steps import calibrate
+    from camctl.calibration.steps import StepOptions, calibrate
     from camctl.errors import CaptureError
     from camctl.profiles.exposures import exposure_mode
     from camctl.profiles.profile import load_profile

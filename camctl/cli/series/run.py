@@ -36,7 +36,7 @@ from camctl.errors import CaptureError, UsageError
 from camctl.system.interrupts import uninterrupted
 
 if TYPE_CHECKING:
-    from camctl.captures.series_tools import Keys, SeriesProgress
+    from camctl.captures.series_sets import Keys, SeriesProgress
     from camctl.interface.camera import Camera
     from camctl.records.journal import SeriesJournal, SetRecord
 
@@ -77,8 +77,7 @@ def run_series(
 ) -> None:
     """Take the missing sets of a series, and print how it ended."""
     from camctl.captures.series import Series
-    from camctl.captures.series_sets import CameraSets
-    from camctl.captures.series_tools import SeriesTools, date_by
+    from camctl.captures.series_sets import CameraSets, SeriesTools, date_by
 
     run = None if hook.hook is None else Hook(hook.hook, hook.hook_limit_s, directory)
     with terminal_keys() as keys, _progress(camera) as progress:

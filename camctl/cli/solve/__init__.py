@@ -134,9 +134,9 @@ def _solve(
     limits: SearchLimits,
     objective: ObjectiveOptions,
 ) -> SolveResult:
+    from camctl.exposure.exposure_choices import SettingsGrid
     from camctl.exposure.grid_search import base_indices, solve_settings
     from camctl.exposure.objective import Objective
-    from camctl.exposure.settings_grid import SettingsGrid
     from camctl.exposure.solver import SearchOptions, part_of
     from camctl.exposure.solver import solve as search
 

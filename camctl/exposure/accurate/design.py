@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from camctl.exposure.accurate.estimate import FrameAccuracy
 from camctl.exposure.accurate.frame_sets import Design
 from camctl.exposure.accurate.tuning import BETTER, LEAST_WEIGHT, TunedSets
-from camctl.exposure.settings_grid import SAME
+from camctl.exposure.exposure_choices import SAME
 from camctl.model.effective import MOST_SEARCHED
 from camctl.model.response.camera import FloatArray
 

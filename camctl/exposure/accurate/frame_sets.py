@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.exposure.accurate.estimate import FrameAccuracy
-from camctl.exposure.exposure_choices import MAX_CHOICES, AccuracyProblem, Shot, Shots
-from camctl.exposure.settings_grid import SAME
+from camctl.exposure.exposure_choices import MAX_CHOICES, SAME, AccuracyProblem, Shot, Shots
 from camctl.model.response.camera import FloatArray
 
 LATTICE = 0.2

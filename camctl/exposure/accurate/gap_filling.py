@@ -17,9 +17,8 @@ from functools import cached_property, partial
 import numpy as np
 
 from camctl.exposure.candidates import CACHE_ELEMENTS, BatchScore
-from camctl.exposure.exposure_choices import TimeCosts
+from camctl.exposure.exposure_choices import SAME, TimeCosts
 from camctl.exposure.objective import ExposureProblem, Objective
-from camctl.exposure.settings_grid import SAME
 from camctl.model.convolution import even_length
 from camctl.model.response.camera import CameraResponse, FloatArray
 from camctl.model.response.desired import DesiredResponse, LogDesired

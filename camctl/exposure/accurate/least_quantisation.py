@@ -15,9 +15,8 @@ import numpy as np
 from camctl.exposure.accurate.design import DesignSearch
 from camctl.exposure.accurate.frame_sets import Design
 from camctl.exposure.accurate.gap_filling import GapFilling, TimeLimit
-from camctl.exposure.exposure_choices import Shot, Shots
+from camctl.exposure.exposure_choices import SAME, Shot, Shots
 from camctl.exposure.random_sets import RandomSets, interleave_step
-from camctl.exposure.settings_grid import SAME
 from camctl.model.effective import MOST_SEARCHED
 from camctl.model.response.camera import FloatArray, every_nth_level
 

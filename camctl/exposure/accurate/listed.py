@@ -15,8 +15,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from camctl.exposure.accurate.design import DesignSearch
-from camctl.exposure.exposure_choices import Rated, Shots
-from camctl.exposure.settings_grid import SAME
+from camctl.exposure.exposure_choices import SAME, Rated, Shots
 from camctl.model.effective import EffectiveCamera, effective_levels
 from camctl.model.response.camera import FloatArray
 

@@ -16,18 +16,16 @@ from typing import TypeAlias
 
 import numpy as np
 
-from camctl.exposure.accurate.dark_zone import frame_accuracy
 from camctl.exposure.accurate.design import DesignSearch
-from camctl.exposure.accurate.estimate import FEW_LEVELS
+from camctl.exposure.accurate.estimate import FEW_LEVELS, frame_accuracy
 from camctl.exposure.accurate.frame_sets import Design
 from camctl.exposure.accurate.judge import JUDGED_FRAMES, Judge
 from camctl.exposure.accurate.least_quantisation import least_quantisation
 from camctl.exposure.accurate.listed import ListedSets
 from camctl.exposure.accurate.tuning import CLOSE, CORRECTIONS, MIDDLE
-from camctl.exposure.exposure_choices import AccuracyProblem, Rated, Shots, bases
+from camctl.exposure.exposure_choices import SAME, AccuracyProblem, Rated, Shots, bases
 from camctl.exposure.noise import DITHERS
 from camctl.exposure.random_sets import interleave_step
-from camctl.exposure.settings_grid import SAME
 from camctl.model.distribution import deviation
 from camctl.model.effective import MOST_SEARCHED
 

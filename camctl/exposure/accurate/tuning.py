@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camctl.exposure.accurate.frame_sets import DELTA, Design, FrameSets
-from camctl.exposure.settings_grid import SAME
+from camctl.exposure.exposure_choices import SAME
 from camctl.model.response.camera import FloatArray
 
 LEAST_WEIGHT = 1e-4

@@ -31,15 +31,14 @@ from camctl.exposure.accurate.judge import JUDGED_FRAMES
 from camctl.exposure.accurate.sets import AccurateSets
 from camctl.exposure.cache import kept
 from camctl.exposure.exposure_choices import (
+    SAME,
     Rated,
     Shot,
     Shots,
 )
 from camctl.exposure.goal import DEFAULT_COUNT, CaptureRequest
 from camctl.exposure.noise import noisy_effective_levels
-from camctl.exposure.search.timed_problem import timed_problem, without_costs
-from camctl.exposure.search.wall_time import predicted_wall_s
-from camctl.exposure.settings_grid import SAME
+from camctl.exposure.search.wall_time import predicted_wall_s, timed_problem, without_costs
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.effective import EffectiveCamera
 from camctl.model.noise import FrameNoise
@@ -331,7 +330,9 @@ class Front:
         allowed_s = budget_s
         for _ in range(ATTEMPTS):
             try:
-                point = self._point(self._most_within(allowed_s), judges_many=True)
+                limit = self._limit(allowed_s)
+                rated = most_accurate(sets_within(self._problem, self._counts, limit), limit)
+                point = self._point(rated, judges_many=True)
             except UsageError:
                 if allowed_s == budget_s:
                     raise
@@ -350,10 +351,6 @@ class Front:
             f"no settings of this camera were found that fit into {budget_s:.4g} s",
             hint="allow more time, or take fewer exposures",
         )
-
-    def _most_within(self, budget_s: float) -> Rated:
-        limit = self._limit(budget_s)
-        return most_accurate(sets_within(self._problem, self._counts, limit), limit)
 
     def _limit(self, budget_s: float) -> float:
         """Return a time budget in the unit of the problem, without the fixed time of a set."""

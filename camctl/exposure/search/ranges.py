@@ -11,11 +11,11 @@ from functools import cache
 from camctl.errors import CaptureError, UsageError
 from camctl.exposure.accuracy import TooInaccurateError
 from camctl.exposure.evaluation import evaluate
+from camctl.exposure.exposure_choices import SAME
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.light import LEAST_RANGE, Light
 from camctl.exposure.search.front import Front
 from camctl.exposure.search.settings import relative_exposures
-from camctl.exposure.settings_grid import SAME
 from camctl.interface.controls import ExposureControls, ExposureSetting
 from camctl.model.response.desired import DesiredResponse
 from camctl.model.response.names import RANGES

@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from camctl.errors import UnreachableExposureError, UsageError
+from camctl.exposure.exposure_choices import SAME, SettingsGrid
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.grid_search import solve_settings
 from camctl.exposure.objective import ExposureProblem, Objective
-from camctl.exposure.settings_grid import SAME, SettingsGrid
 from camctl.exposure.solver import Solution
 from camctl.interface.controls import Choices, Control, ExposureControls, ExposureSetting
 from camctl.model.response.desired import DesiredResponse
