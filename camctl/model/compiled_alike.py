@@ -6,14 +6,16 @@ processors do 8 to 16 at once: a tenth of the time that they take one by one.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.model.joined_frames import Cells
-from camctl.model.light import Floats32
+from camctl.model.light import KEPT_TABLES, Floats32, LightTables
 from camctl.model.light_bins import DROPPED
+from camctl.model.sensor import CLIPPING_SIGMAS, FILE_OFFSET
 from camctl.system.compiled_functions import compiler
 
 _compiled = compiler(are_joined=True) or (lambda function: function)
@@ -80,6 +82,30 @@ class Tables(NamedTuple):
     order: NDArray[np.uint64]
 
 
+@lru_cache(maxsize=KEPT_TABLES)
+def tables_of(tables: LightTables) -> Tables:
+    """Return the tables of a colour."""
+    sensor, bins, top = tables.sensor, tables.light_bins, tables.top
+    squares, noises = tables.of_values
+    offset = (FILE_OFFSET / 255 * (sensor.white - sensor.black)) ** 2
+    levels = (top - np.arange(sensor.white + 1)) / np.float32(CLIPPING_SIGMAS)
+    to_saturation = squares * np.square(levels)
+    ends = bins.least, bins.brightest, top, sensor.white, CLIPPING_SIGMAS, offset
+    of_values = np.stack(
+        [tables.irradiance, squares, noises, to_saturation], axis=2, dtype=np.float32
+    )
+    noise = np.where(tables.clipped, -tables.variances, tables.variances)
+    return Tables(
+        of_values,
+        of_values.view(np.complex128)[..., 0],
+        np.stack([noise, tables.steps], axis=2, dtype=np.float32).view(np.complex64)[..., 0],
+        (sensor.full / tables.exposures).astype(np.float32),
+        np.array(ends, np.float32),
+        bins.first,
+        np.argsort(tables.exposures, kind="stable").astype(np.uint64),
+    )
+
+
 class Joined(NamedTuple):
     """The light of cells, and its errors.
 
@@ -89,8 +115,8 @@ class Joined(NamedTuple):
             in common, of cells whose frames are alike, (C,)
         scatter: of the frames, and what noise makes of it, sums of the samples, (2, C)
         kinds: of the cells, (C,)
-        places: cells whose samples have errors of their own, (P,), ascending
-        of_samples: `own` and `common` of these, (2, 4, P)
+        places: cells whose samples have errors of their own, ascending, first ones of (C,)
+        of_samples: `own` and `common` of these, (2, 4, C)
     """
 
     light: Floats32
@@ -110,14 +136,9 @@ class Joined(NamedTuple):
             np.empty(count, np.float32),
             np.empty((2, count), np.float32),
             np.empty(count, np.uint8),
-            np.empty(0, np.intp),
-            np.empty((2, 4, 0), np.float32),
+            np.empty(count, np.intp),
+            np.empty((2, 4, count), np.float32),
         )
-
-    def by_sample(self) -> Joined:
-        """Return the same with room for cells that are not joined yet."""
-        places = np.flatnonzero(self.kinds >= OTHER)
-        return self._replace(places=places, of_samples=np.empty((2, 4, places.size), np.float32))
 
 
 class Lanes(NamedTuple):
@@ -319,16 +340,23 @@ def _keep(
 
 
 @_compiled
-def _join_alike(
+def join_alike(
     cells: Cells,
     tables: Tables,
     chosen: NDArray[np.bool_],
     found: Joined,
     lanes: Lanes,
+    first: np.uint64,
+    stop: np.uint64,
 ) -> None:
-    rows, whole, kinds = lanes.rows, np.uint64(len(chosen)), found.kinds
-    for start in range(_NULL, whole, _ROW):
-        count, some = min(_ROW, whole - start), _ZERO
+    """Set the light of some cells, each frame of which counts for all samples or for none.
+
+    Weights are those of the cell, where no sample may be saturated or made darker, and frames do
+    not contradict each other, since the first light is in reach of all of them.
+    """
+    rows, kinds = lanes.rows, found.kinds
+    for start in range(first, stop, _ROW):
+        count, some = min(_ROW, stop - start), _ZERO
         frames = _begin(cells, tables, lanes, start, count)
         for j in range(count):
             is_one = chosen[start + j] & (rows[_IS_MIXED + j] + rows[_IS_WHITE + j] == _ZERO)
@@ -349,15 +377,3 @@ def _join_alike(
             kinds[start + j] = (WHITE if is_white else kind) if is_chosen else KEPT
         if kept:
             _keep(cells, found, kinds, start, count)
-
-
-def join_alike(cells: Cells, tables: Tables, chosen: NDArray[np.bool_]) -> Joined:
-    """Return the light of chosen cells, each frame of which counts for all samples or for none.
-
-    Weights are those of the cell, where no sample may be saturated or made darker, and frames do
-    not contradict each other, since the first light is in reach of all of them.  Cells that are
-    not chosen, or are saturated in all frames, keep the light that they have.
-    """
-    found = Joined.of(len(chosen))
-    _join_alike(cells, tables, chosen, found, Lanes.new())
-    return found

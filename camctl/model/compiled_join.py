@@ -8,18 +8,25 @@ module is imported only where it is used.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.model.compiled_alike import BY_SAMPLE, OTHER, Joined, Tables, join_alike
+from camctl.model.compiled_alike import (
+    BY_SAMPLE,
+    MIXED,
+    OTHER,
+    Joined,
+    Lanes,
+    Tables,
+    join_alike,
+    tables_of,
+)
 from camctl.model.compiled_normal import exponential, probability
 from camctl.model.joined_frames import Cells
-from camctl.model.light import KEPT_TABLES, Floats32, LightTables
+from camctl.model.light import Floats32, LightTables
 from camctl.model.light_bins import DROPPED
-from camctl.model.sensor import CLIPPING_SIGMAS, FILE_OFFSET
 from camctl.model.step_posterior import REACH
 from camctl.system.compiled_functions import compiler
 
@@ -31,8 +38,10 @@ _NONE, _SOME = (np.uint32(x) for x in range(2))
 _DROPPED = np.uint32(DROPPED)
 # Numbers without a sign, see `camctl.model.compiled_alike`.
 _NULL, _ONCE, _TWO, _THREE, _FOUR, _SEVEN = (np.uint64(x) for x in (0, 1, 2, 3, 4, 7))
-#: Cells at a time, and their samples.
-_CELLS, _SAMPLES = np.uint64(64), np.uint64(256)
+#: Cells side by side, and their samples: their rows stay in a cache of 48 kB.
+_CELLS, _SAMPLES = np.uint64(32), np.uint64(128)
+#: Cells at a time: they stay in a cache of 1 MB until those that are not alike are looked at.
+_AT_ONCE = np.uint64(6144)
 
 
 def _starts(first: int, stop: int) -> list[np.uint64]:
@@ -114,30 +123,6 @@ class _Lanes(NamedTuple):
             np.zeros(int(_CELLS), np.uint64),
             np.zeros(int(_CELLS), np.intp),
         )
-
-
-@lru_cache(maxsize=KEPT_TABLES)
-def _tables_of(tables: LightTables) -> Tables:
-    """Return those of a colour."""
-    sensor, bins, top = tables.sensor, tables.light_bins, tables.top
-    squares, noises = tables.of_values
-    offset = (FILE_OFFSET / 255 * (sensor.white - sensor.black)) ** 2
-    levels = (top - np.arange(sensor.white + 1)) / np.float32(CLIPPING_SIGMAS)
-    to_saturation = squares * np.square(levels)
-    ends = bins.least, bins.brightest, top, sensor.white, CLIPPING_SIGMAS, offset
-    of_values = np.stack(
-        [tables.irradiance, squares, noises, to_saturation], axis=2, dtype=np.float32
-    )
-    noise = np.where(tables.clipped, -tables.variances, tables.variances)
-    return Tables(
-        of_values,
-        of_values.view(np.complex128)[..., 0],
-        np.stack([noise, tables.steps], axis=2, dtype=np.float32).view(np.complex64)[..., 0],
-        (sensor.full / tables.exposures).astype(np.float32),
-        np.array(ends, np.float32),
-        bins.first,
-        np.argsort(tables.exposures, kind="stable").astype(np.uint64),
-    )
 
 
 @_compiled
@@ -442,12 +427,13 @@ def _join_some(
     cells: Cells,
     tables: Tables,
     slots: NDArray[np.intp],
+    count: np.uint64,
     by_cell: bool,
     found: Joined,
     lanes: _Lanes,
     dim: NDArray[np.bool_],
 ) -> None:
-    rows, count = lanes.rows, np.uint64(len(slots))
+    rows = lanes.rows
     for start in range(_NULL, count, _CELLS):
         for j in range(_CELLS):
             place = start + j
@@ -473,14 +459,42 @@ def _join_some(
             _write(lanes, found, j)
 
 
+@_compiled
+def _join_cells(
+    cells: Cells,
+    tables: Tables,
+    chosen: NDArray[np.bool_],
+    found: Joined,
+    side_by_side: Lanes,
+    lanes: _Lanes,
+    slots: NDArray[np.intp],
+    dim: NDArray[np.bool_],
+) -> None:
+    whole, last = np.uint64(len(chosen)), _NULL
+    for start in range(_NULL, whole, _AT_ONCE):
+        stop, first = min(start + _AT_ONCE, whole), last
+        join_alike(cells, tables, chosen, found, side_by_side, start, stop)
+        for c in range(start, stop):
+            if found.kinds[c] >= OTHER:
+                found.places[last] = c
+                last += _ONCE
+        for by_cell in (True, False):
+            # Samples of mixed cells, and of others that are of several frames, have own weights.
+            count = _NULL
+            for slot in range(first, last):
+                kind = found.kinds[found.places[slot]]
+                slots[count] = slot
+                count += _ONCE if kind == OTHER or (kind == MIXED and not by_cell) else _NULL
+            _join_some(cells, tables, slots, count, by_cell, found, lanes, dim)
+
+
 def join_cells(tables: LightTables, cells: Cells, chosen: NDArray[np.bool_]) -> Joined:
-    """Return the light of cells, that of chosen ones from frames whose errors change weights."""
-    of_colour, count = _tables_of(tables), len(cells.values)
-    found = join_alike(cells, of_colour, chosen).by_sample()
-    lanes, dim = _Lanes.new(count, cells.values.dtype), np.empty(count, np.bool_)
-    for by_cell in (True, False):
-        # Samples of mixed cells, and of others that are of several frames, have their own weights.
-        kinds = found.kinds.take(found.places)
-        slots = np.flatnonzero(kinds == OTHER if by_cell else kinds != BY_SAMPLE)
-        _join_some(cells, of_colour, slots, by_cell, found, lanes, dim)
+    """Return the light of cells, that of chosen ones from frames whose errors change weights.
+
+    Cells that are not chosen, or are saturated in all frames, keep the light that they have.
+    """
+    count = len(cells.values)
+    found, lanes = Joined.of(len(chosen)), _Lanes.new(count, cells.values.dtype)
+    slots, dim = np.empty(int(_AT_ONCE), np.intp), np.empty(count, np.bool_)
+    _join_cells(cells, tables_of(tables), chosen, found, Lanes.new(), lanes, slots, dim)
     return found
