@@ -310,11 +310,11 @@ def exposure(
         frames = scene_frames(source, exposures, black=black, white=white, layout=layout)
         channels = list(frames.responses(response).values())
         patches, settings = [], []
-        for each in frames.frames:
-            assert each.setting is not None  # `scene_frames` needs the times
-            patches.append(sample_patches(frames.layout.planes(each.pixels), frames.white))
-            settings.append(each.setting)
-        scale = SensorModel(channels[len(channels) // 2], frames.black)
+        black, white = frames.code_levels
+        for codes, setting in frames.codes():
+            patches.append(sample_patches(frames.layout.planes(codes), white))
+            settings.append(setting)
+        scale = SensorModel(channels[len(channels) // 2], black)
         record = record_of_frames(patches, settings, scale)
         camera, mode, findings = frames.camera, frames.mode, frames.findings
     return ExposureResult(**dict(record), findings=tuple(findings), camera=camera, mode=mode)

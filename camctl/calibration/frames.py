@@ -102,20 +102,36 @@ class SceneFrames:
 
     def pairs(self, response: Response, *, is_flat: bool) -> NoiseFrames:
         """Return the pairs of frames of one exposure, as codes of their grid."""
-        grid = self.grid or SampleGrid(1, 0, self.white)
-        black, white = grid.nearest(self.black), grid.code(self.white)
-        responses = {
-            name: grid.response(each, self.black) for name, each in self.responses(response).items()
-        }
+        black, white = self.code_levels
+        responses = self.responses(response)
         found = NoiseFrames(self.layout, black, white, responses, is_flat, list(self.findings))
         if self.is_jpeg:
             found.note_format(".jpg")
-        for frame in self.frames:
-            assert frame.setting is not None  # `scene_frames` needs the times
-            found.add(grid.codes(frame.pixels), frame.setting)
+        for codes, setting in self.codes():
+            found.add(codes, setting)
         return found
 
+    @property
+    def code_levels(self) -> tuple[int, int]:
+        """The codes of black and white."""
+        grid = self.grid or SampleGrid(1, 0, self.white)
+        return grid.nearest(self.black), grid.code(self.white)
+
+    def codes(self) -> Iterator[tuple[NDArray[Any], ExposureSetting]]:
+        """Yield the codes of each frame, and its setting, which `scene_frames` needed."""
+        for frame in self.frames:
+            assert frame.setting is not None
+            pixels = frame.pixels if self.grid is None else self.grid.codes(frame.pixels)
+            yield pixels, frame.setting
+
     def responses(self, given: Response) -> dict[str, CameraResponse]:
+        """Return the response of the codes of each channel: given, measured, sRGB or linear."""
+        found = self._responses(given)
+        if self.grid is None:
+            return found
+        return {name: self.grid.response(each, self.black) for name, each in found.items()}
+
+    def _responses(self, given: Response) -> dict[str, CameraResponse]:
         """Return the response of each channel: as given, else measured, else sRGB or linear.
 
         Raises:

@@ -149,6 +149,19 @@ def test_exposures_of_a_capture_and_of_arrays() -> None:
     assert any(each.contradicts_label for each in found.times)
 
 
+def test_exposures_of_arrays_of_shifted_samples() -> None:
+    """A truncating quantiser loses half a step of 64, not half a level of 16 bits."""
+    light = np.tile(np.geomspace(0.5, 500, 200), (150, 1))
+    frames = [np.minimum(light * each, 1023).astype(np.uint16) for each in TIMES]
+    plain = camctl.calibrate.exposure(frames, TIMES, white=1023)
+    shifted = [each * np.uint16(64) for each in frames]
+    found = camctl.calibrate.exposure(shifted, TIMES, white=1023 * 64)
+    for one, other in zip(found.times, plain.times, strict=True):
+        assert (one.factor, one.low, one.high) == pytest.approx(
+            (other.factor, other.low, other.high)
+        )
+
+
 @pytest.mark.parametrize(("sensor", "frames"), [("standard", 2), ("mobile", 3)])
 def test_delay_of_a_camera(sensor: str, frames: int) -> None:
     with camctl.open_camera("sim", sensor=sensor, size="64x48") as camera:
