@@ -29,16 +29,10 @@ LOG = "log"
 
 #: Fewest effective levels that are advised: with fewer a picture shows steps.
 _LEAST_LEVELS = 16.0
+#: Stops by which an exposure holds the brightest light of lamps, up to tenths.
+_FLICKER_STOPS = math.ceil(10 * math.log2(1 + LAMP_DEPTH)) / 10
 #: Numbers of exposures that are tried.
 _COUNTS = (3, 6)
-
-
-@dataclass(frozen=True)
-class _Trial:
-    """A changed request, and its plan where that is known."""
-
-    request: CaptureRequest
-    plan: CapturePlan | None = None
 
 
 @dataclass(frozen=True)
@@ -77,7 +71,7 @@ def range_findings(
                 code="light_changed",
                 value=saturated,
                 details={"metered": metered},
-                remedies={"compensation_stops": request.compensation_stops - _flicker_stops()},
+                remedies={"compensation_stops": request.compensation_stops - _FLICKER_STOPS},
             )
         )
     elif saturated > MUCH:
@@ -106,11 +100,6 @@ def range_findings(
             )
         )
     return found
-
-
-def _flicker_stops() -> float:
-    """Return the stops by which an exposure holds the brightest light of lamps, up to tenths."""
-    return math.ceil(10 * math.log2(1 + LAMP_DEPTH)) / 10
 
 
 _Advice = tuple[dict[str, Any], dict[str, Detail]]
@@ -224,14 +213,14 @@ def _tried(
 ) -> Iterator[_Tried]:
     """Yield the changes that give a picture with enough levels in which no more clips."""
     assert plan.light is not None  # it was metered
-    for trial in _trials(request, plan, light, controls):
-        tried = trial.plan or _predict(trial.request, light, controls)
+    for changed, predicted in _trials(request, plan, light, controls):
+        tried = predicted or _predict(changed, light, controls)
         if tried is None or tried.light is None:
             continue
         if tried.effective_levels < min(_LEAST_LEVELS, MOST * plan.effective_levels):
             continue
         if tried.light.clips <= max(MUCH, plan.light.clips):
-            yield _Tried(trial.request, tried, tried.light.dark)
+            yield _Tried(changed, tried, tried.light.dark)
 
 
 def _most_shown(
@@ -274,39 +263,39 @@ def _shorter_requests(request: CaptureRequest) -> Iterator[CaptureRequest]:
 
 def _trials(
     request: CaptureRequest, plan: CapturePlan, light: Light, controls: ExposureControls
-) -> Iterator[_Trial]:
-    """Yield what may help, in the order in which it is advised."""
+) -> Iterator[tuple[CaptureRequest, CapturePlan | None]]:
+    """Yield what may help, in the order in which it is advised, and its plan where it is known."""
     if request.dynamic_range != AUTO:
-        yield _Trial(replace(request, dynamic_range=AUTO))
+        yield replace(request, dynamic_range=AUTO), None
     if request.compensation_stops < 0:
-        yield _Trial(replace(request, compensation_stops=0.0))
+        yield replace(request, compensation_stops=0.0), None
     if request.clip is not None and request.clip < LAMP_SHARE:
-        yield _Trial(replace(request, clip_percent=None))
+        yield replace(request, clip_percent=None), None
     if request.time_budget_s is not None:
         # With a budget of the time that it takes it may be another one, of a smaller range.
         free = replace(request, time_budget_s=None)
         predicted = _predict(free, light, controls)
         if predicted is not None and predicted.wall_s is not None:
-            yield _Trial(free, predicted)
+            yield free, predicted
     if request.count is not None or request.time_budget_s is None:
         for count in _COUNTS:
             # For the objective xi, solving more exposures may take minutes.
             if count > request.most_exposures and (plan.objective != XI or count == _COUNTS[0]):
-                yield _Trial(replace(request, count=count))
+                yield replace(request, count=count), None
     if request.accuracy is not None:
-        yield _Trial(replace(request, accuracy=None))
+        yield replace(request, accuracy=None), None
     if request.dynamic_range == AUTO and plan.objective != XI:
         assert plan.light is not None  # it was metered
         levels = math.floor(plan.light.needed_levels or 0.0)
         if levels >= _LEAST_LEVELS and request.accuracy is None:
-            yield _Trial(replace(request, accuracy=float(levels)))
+            yield replace(request, accuracy=float(levels)), None
         for stops in range(1, 1 + math.floor(MOST_UNSEEN_STOPS)):
-            yield _Trial(replace(request, dynamic_range=plan.dynamic_range * 2.0**stops))
+            yield replace(request, dynamic_range=plan.dynamic_range * 2.0**stops), None
     if request.clip is None:
         for percent in range(1, math.ceil(100 * MUCH)):
-            yield _Trial(replace(request, clip_percent=float(percent)))
+            yield replace(request, clip_percent=float(percent)), None
     if plan.desired.name != LOG:
-        yield _Trial(replace(request, response=LOG, gamma=None))
+        yield replace(request, response=LOG, gamma=None), None
 
 
 def spread_findings(

@@ -2,7 +2,7 @@
 
 Accuracy is the mean square error in the desired response, with photon noise, read noise and
 quantisation, as effective levels L = (12 mse)^(-1/2).  A search over the fast estimate of
-`camctl.exposure.frame_accuracy` finds the best sets; the exact distribution of
+`camctl.exposure.accurate` finds the best sets; the exact distribution of
 `camctl.exposure.noise` decides between them and their neighbours.  Gains take part as in Hasinoff,
 Durand and Freeman (2010), "Noise-optimal capture for high dynamic range photography": a frame of
 twice the gain needs half the time for the same brightness, and has half the photons.

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from camctl.model.response.camera import linear_response
-from camctl.photographs.choice import darkest_light
+from camctl.photographs.merge import darkest_light
 
 BLACK, TIMES = 512, (0.01, 0.04, 0.16)
 LEVELS = linear_response(12)

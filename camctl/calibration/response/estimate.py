@@ -157,7 +157,9 @@ def estimate_response(
             findings.append(labels.finding)
         pairs = zip(channels, exposures * labels.corrections, strict=True)
         fits = [each.fit(own, exposure_error) for each, own in pairs]
-    findings += _chart_findings(channels, fits)
+    for each, fit in zip(channels, fits, strict=True):
+        if each.samples is not None:
+            findings += chart_findings(each.samples, fit.patch_errors, each.name)
     if not is_rough:
         fits = _with_misfit(series, fits, exposure_error)
     fits = [with_exponent_error(fit, exponent.error + labels.exponent_error) for fit in fits]
@@ -182,14 +184,6 @@ def _without_noise(
     return [
         each.without_noise(fit) for each, fit in zip(channels, first * len(channels), strict=False)
     ]
-
-
-def _chart_findings(
-    channels: Sequence[_Evidence], fits: Sequence[ResponseFit]
-) -> Iterator[Finding]:
-    for each, fit in zip(channels, fits, strict=True):
-        if each.samples is not None:
-            yield from chart_findings(each.samples, fit.patch_errors, each.name)
 
 
 def _record(

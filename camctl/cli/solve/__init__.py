@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from camctl.cli import options
@@ -190,26 +191,16 @@ def _solve_by_accuracy(
         )
     total_limit = math.inf if limits.total_limit is None else limits.total_limit
     desired = request.desired()
-    counts, accuracy = limits.counts(request), request.get("accuracy")
+    counts = limits.counts(request)
+    search = partial(solve_accuracy, total_limit=total_limit, accuracy=request.get("accuracy"))
     problem = AccuracyProblem(camera.response, desired, camera.noise, black=camera.black)
     with progress_bar("searching") as bar:
         if limits.settings is None:
-            found = solve_accuracy(
-                problem,
-                counts,
-                total_limit=total_limit,
-                accuracy=accuracy,
-                progress=without_stage(bar),
-            )
+            found = search(problem, counts, progress=without_stage(bar))
             return SolveResult(camera, desired, found, objective="accuracy")
         available = AvailableExposures(limits.settings, limits.gains or (1.0,), unit_s=1.0)
-        restricted = solve_accuracy(
-            replace(problem, available=available),
-            counts,
-            total_limit=total_limit,
-            accuracy=accuracy,
-            progress=without_stage(bar),
-        )
+        available_problem = replace(problem, available=available)
+        restricted = search(available_problem, counts, progress=without_stage(bar))
         found = solve_accuracy(problem, [len(restricted.exposures)])
     settings = SettingsResult(restricted, restricted.times, restricted.gains)
     return SolveResult(camera, desired, found, restricted=settings, objective="accuracy")
