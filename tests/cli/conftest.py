@@ -23,9 +23,10 @@ def run(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.M
 
     def run_arguments(*arguments: str | Path) -> Ran:
         capfd.readouterr()
-        status = main([str(argument) for argument in arguments])
+        words = tuple(str(argument) for argument in arguments)
+        status = main(list(words))
         out, err = capfd.readouterr()
-        return Ran(status, out, err)
+        return Ran(status, out, err, words)
 
     return run_arguments
 

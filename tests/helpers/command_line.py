@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.util import find_spec
 from typing import Any, TypeAlias
 
 
@@ -15,11 +17,22 @@ class Ran:
     status: int
     out: str
     err: str
+    words: tuple[str, ...] = field(default=(), compare=False)
 
     @property
     def json(self) -> Any:
-        """Standard output, which must be one JSON value."""
-        return json.loads(self.out, parse_constant=_refuse_constant)
+        """Standard output, which must be one JSON value, and fit the schema of the command."""
+        value = json.loads(self.out, parse_constant=_refuse_constant)
+        if "--json" in self.words and find_spec("jsonschema"):
+            failed = isinstance(value, dict) and "error" in value
+            check("error" if failed else self._command(), value)
+        return value
+
+    def _command(self) -> str:
+        from camctl.cli.schema.types import schema_names
+
+        names = schema_names()
+        return next(name for k in (2, 1) if (name := " ".join(self.words[:k])) in names)
 
     @property
     def error(self) -> str:
@@ -29,6 +42,20 @@ class Ran:
         assert self.err.endswith("\n")
         assert self.err.count("\n") == 1, self.err
         return self.err.removeprefix("camctl: ").rstrip("\n")
+
+
+@cache
+def _validator(name: str) -> Any:
+    import jsonschema
+
+    from camctl.cli.schema.types import schema
+
+    return jsonschema.Draft202012Validator(schema(name))
+
+
+def check(name: str, content: Any) -> None:
+    """Check that content fits the JSON schema of what a command prints."""
+    _validator(name).validate(content)
 
 
 def _refuse_constant(name: str) -> None:
