@@ -104,8 +104,9 @@ def error_of(estimate: ResponseEstimate | ResponseRecord, curve: Curve) -> float
     return float(min(errors))
 
 
-@pytest.mark.parametrize("exposures", [(0.5, 4.0, 32.0), (1.0, 10.0)])
-@pytest.mark.parametrize("name", ["s", "srgb"])
+@pytest.mark.parametrize(
+    ("name", "exposures"), [("s", (1.0, 10.0)), ("srgb", (0.5, 4.0, 32.0)), ("srgb", (1.0, 10.0))]
+)
 def test_curves_with_a_toe_and_a_shoulder_are_found_from_frames_far_apart(
     name: str, exposures: tuple[float, ...]
 ) -> None:

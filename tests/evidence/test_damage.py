@@ -38,8 +38,7 @@ def shares(frames: list[NDArray[np.uint16]]) -> list[float]:
     return [damaged_share(short, [long], WHITE + 1), damaged_share(long, [short], WHITE + 1)]
 
 
-@pytest.mark.parametrize("share", [0.1, 0.5, 1.0])
-@pytest.mark.parametrize("damaged", [0, 1])
+@pytest.mark.parametrize(("damaged", "share"), [(0, 0.1), (0, 1.0), (1, 0.1), (1, 0.5)])
 def test_the_damaged_frame_is_found(damaged: int, share: float) -> None:
     frames = [shot(scene(1), exposure, k) for k, exposure in enumerate((1.0, RATIO))]
     rest = frames[damaged][round(480 * (1 - share)) :]

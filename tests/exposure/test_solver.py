@@ -89,8 +89,8 @@ def test_score_of_a_batch_agrees_with_the_exact_objective(
     desired: DesiredResponse, p: float, accuracy: float
 ) -> None:
     rng = np.random.default_rng(3)
-    exposures = np.sort(np.exp(rng.uniform(0, 5, (150, 4))), axis=1)
-    exposures[::2, 1] = 1 + rng.uniform(0, 0.01, 75)
+    exposures = np.sort(np.exp(rng.uniform(0, 5, (60, 4))), axis=1)
+    exposures[::2, 1] = 1 + rng.uniform(0, 0.01, 30)
     exposures[:, 0] = 1
     exposures.sort(axis=1)
     problem = ExposureProblem(EIGHT_BIT, desired, 4, Objective(p=p))
@@ -242,20 +242,29 @@ def test_cameras_of_many_bits_are_solved_from_the_coarse_solution(bits: int) -> 
 
 
 @pytest.mark.parametrize(
-    ("bits", "n", "p"),
+    ("bits", "n", "p", "name"),
     [
-        (1, 1, 2.0),
-        (3, 4, 1.0),
+        (1, 1, 2.0, "linear"),
+        (3, 4, 1.0, "linear"),
         *(
             pytest.param(*each, marks=pytest.mark.slow)
-            for each in ((7, 3, 2.0), (1, 16, 1.0), (5, 16, 1.0), (7, 2, 16.0), (1, 3, 16.0))
+            for each in (
+                (1, 1, 2.0, "log"),
+                (3, 4, 1.0, "gamma"),
+                (7, 3, 2.0, "linear"),
+                (7, 3, 2.0, "log"),
+                (1, 16, 1.0, "gamma"),
+                (5, 16, 1.0, "log"),
+                (7, 2, 16.0, "gamma"),
+                (1, 3, 16.0, "linear"),
+                (1, 3, 16.0, "log"),
+            )
         ),
     ],
 )
 @pytest.mark.parametrize("dynamic_range", [1.001, 1e7])
-@pytest.mark.parametrize("name", some(["linear", "gamma", "log"], every=3))
 def test_extreme_problems_are_solved_without_a_warning(
-    bits: int, n: int, p: float, dynamic_range: float, name: str
+    bits: int, n: int, p: float, name: str, dynamic_range: float
 ) -> None:
     found = solve(
         linear_response(bits),

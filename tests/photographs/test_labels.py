@@ -52,7 +52,7 @@ def test_right_labels_are_not_accused_whatever_offset_a_dark_photograph_has() ->
 
 
 @pytest.mark.parametrize("place", range(5))
-@pytest.mark.parametrize("factor", [1.5, 2.0, 4.0, 8.0, 1 / 1.5, 1 / 8])
+@pytest.mark.parametrize("factor", [1.5, 8.0, 1 / 1.5, 1 / 8])
 def test_a_wrong_label_is_named_with_its_factor(place: int, factor: float) -> None:
     labels = tuple(each * (factor if k == place else 1) for k, each in enumerate(TRUE_S))
     (wrong,) = found(labels)

@@ -246,11 +246,14 @@ class WithFiles(WrappedCamera):
         ("\ud800", ".bin"),
     ],
 )
-def test_suffix_of_a_camera_is_data(tmp_path: Path, suffix: str, expected: str) -> None:
-    folder = tmp_path / "a" / "out"
+def test_suffix_of_a_camera_is_data(suffix: str, expected: str) -> None:
+    assert clean_suffix(suffix) == expected
+
+
+def test_suffix_of_a_camera_names_no_other_folder(tmp_path: Path) -> None:
+    folder, suffix, expected = tmp_path / "a" / "out", "/../../../evil", ".evil"
     with small_camera(light=LIGHT) as simulated:
         report = capture(WithFiles(simulated, suffix), REQUEST, folder)
-    assert clean_suffix(suffix) == expected
     names = {path.name for path in (folder / "frames").iterdir()}
     stems = ("frame-01", "frame-02")
     assert names == {f"{stem}{end}" for stem in stems for end in (".npy", expected)}

@@ -77,8 +77,16 @@ def path_named(tmp_path: Path) -> Callable[[str], Path]:
     return lambda name: folder / name
 
 
-@pytest.mark.parametrize("kind", NO_FILES)
-@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize(
+    ("reader", "kind"),
+    [
+        # All readers open files by one function: one sees each kind, each of the others one.
+        (reader, kind)
+        for place, reader in enumerate(READERS)
+        for number, kind in enumerate(NO_FILES)
+        if place == 0 or place % len(NO_FILES) == number
+    ],
+)
 def test_what_is_no_regular_file_is_refused_at_once(
     path_named: Callable[[str], Path], reader: str, kind: str
 ) -> None:
