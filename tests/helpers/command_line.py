@@ -23,9 +23,8 @@ class Ran:
     def json(self) -> Any:
         """Standard output, which must be one JSON value, and fit the schema of the command."""
         value = json.loads(self.out, parse_constant=_refuse_constant)
-        if "--json" in self.words and find_spec("jsonschema"):
-            failed = isinstance(value, dict) and "error" in value
-            check("error" if failed else self._command(), value)
+        if isinstance(value, dict) and "--json" in self.words and find_spec("jsonschema"):
+            check("error" if "error" in value else self._command(), value)
         return value
 
     def _command(self) -> str:
