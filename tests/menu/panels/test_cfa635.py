@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +98,8 @@ def test_panel_that_is_unplugged_shows_the_screen_again_when_it_is_back(tmp_path
             operate(device, SHOOTING[4:] + ENDING)
 
         user = User(use)
-        assert run(Cfa635Panel(str(link)), lambda: job) is not None
+        panel = Cfa635Panel(str(link))
+        assert run(panel, lambda: job, wait=lambda _: time.sleep(0.02)) is not None
         user.finish()
     assert len(job.shot) == 1
 
@@ -140,7 +142,8 @@ def test_url_that_pyserial_does_not_know_is_refused() -> None:
         Cfa635Panel("nix://x").__enter__()
 
 
-def test_device_that_does_not_answer_is_refused() -> None:
+def test_device_that_does_not_answer_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("camctl.menu.panels.cfa635._ANSWER_S", 0.02)
     message = "does not answer; check its cable"
     with VirtualCfa635(loss=1.0) as device, pytest.raises(PanelDisconnectedError, match=message):
         Cfa635Panel(device.path).__enter__()
