@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import random
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,8 @@ from camctl.drivers.ptp.datasets import (
 from camctl.drivers.ptp.maker_datasets import (
     EosEvents,
     parse_nikon_events,
+    parse_panasonic_property,
+    parse_panasonic_value,
     parse_sony_properties,
 )
 from camctl.drivers.v4l2.abi import Request
@@ -46,6 +48,8 @@ PARSERS: dict[str, tuple[int, Callable[[bytes], object]]] = {
     "PTP Canon events": (0x9116, EosEvents.parse),
     "PTP Sony properties": (0x9209, parse_sony_properties),
     "PTP Nikon events": (0x90C7, parse_nikon_events),
+    "PTP Panasonic property": (0x9108, partial(parse_panasonic_property, code=0x02000030)),
+    "PTP Panasonic value": (0x9402, parse_panasonic_value),
 }
 """Operation codes, and what parses the data of their replies."""
 
@@ -54,7 +58,7 @@ PARSERS: dict[str, tuple[int, Callable[[bytes], object]]] = {
 def _ptp_replies() -> dict[int, list[bytes]]:
     """Return the data that cameras of all vendors send, by operation code."""
     found: dict[int, list[bytes]] = {}
-    for vendor in VENDORS:
+    for vendor in (*VENDORS, "panasonic"):
         pair = bench(vendor=vendor)
         execute = pair.device.responder.execute
 
