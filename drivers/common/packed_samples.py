@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 from camctl.interface.camera import Pixels
 
+#: Different codes of a frame from which it shows how many of its bits are used.
+_LEAST_CODES = 64
+
 
 def mipi(bits: int, count: int, data: NDArray[np.uint8], shape: tuple[int, int]) -> Pixels:
     """Unpack groups of bytes: the upper 8 bits of `count` samples, then all their lower bits.
@@ -34,3 +37,11 @@ def lines(groups: Pixels, shape: tuple[int, int]) -> Pixels:
     """Return samples line by line, without those that fill up the last group of a line."""
     rows, columns = shape
     return groups.reshape(rows, -1)[:, :columns]
+
+
+def used_bits(pixels: Pixels) -> int:
+    """Return how many upper bits of a 16-bit frame are used; 16 where it shows too little."""
+    if np.count_nonzero(np.bincount(pixels.reshape(-1))) < _LEAST_CODES:
+        return 16
+    together = int(np.bitwise_or.reduce(pixels, axis=None))
+    return 17 - (together & -together).bit_length()

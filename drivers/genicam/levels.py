@@ -5,17 +5,12 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 
-import numpy as np
-
+from camctl.drivers.common.packed_samples import used_bits
 from camctl.drivers.genicam.formats import PixelFormat
 from camctl.drivers.genicam.port import FeatureError, Kind, OpenDevice, Received
 from camctl.drivers.genicam.preparation import GenicamOptions
 from camctl.errors import UsageError
 from camctl.findings import Finding, note
-from camctl.interface.camera import Pixels
-
-#: Different codes of a frame from which it shows how many of its bits are used.
-_LEAST_CODES = 64
 
 
 @dataclass(frozen=True)
@@ -52,7 +47,7 @@ def sample_levels(
         )
     if bits == 16:
         pixels = pixel_format.samples(first)
-        bits = options.bits or (16 if pixels is None else _used_bits(pixels))
+        bits = options.bits or (16 if pixels is None else used_bits(pixels))
         shift = 16 - bits
         if shift and options.bits is None:
             findings.append(
@@ -87,12 +82,3 @@ def has_no_gamma(device: OpenDevice) -> bool:
         if device.kind("Gamma") is Kind.FLOAT:
             return device.read("Gamma") == 1.0
     return True
-
-
-def _used_bits(pixels: Pixels) -> int:
-    """Return how many upper bits of a 16-bit frame are used; 16 where it shows too little."""
-    if np.unique(pixels).size < _LEAST_CODES:
-        return 16
-    together = int(np.bitwise_or.reduce(pixels, axis=None))
-    unused = (together & -together).bit_length() - 1
-    return 16 - unused

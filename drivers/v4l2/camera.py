@@ -12,9 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import BeforeValidator, Field
 
 from camctl.drivers.common.gain_unit import GainUnit, parse_gain
+from camctl.drivers.common.packed_samples import used_bits
 from camctl.drivers.common.stream_camera import StreamCamera
 from camctl.drivers.v4l2.capture import Capture, StreamMode, choose_mode
 from camctl.drivers.v4l2.controls import EXPOSURES, ExposureControl
@@ -130,19 +132,21 @@ class V4l2Camera(StreamCamera[Pixels]):
         resources.callback(capture.close)
         self._mode = StreamMode(format_, shape, capture.interval_s)
         exposure = self._exposure(node, shape[1], resources)
-        self._scale = scale = sample_scale(
-            format_,
-            node.current_format(),
-            bits=options.bits,
-            black=options.black,
-            luma_range=options.range,
-            response=options.response,
-        )
-        source = _Frames(path, capture, exposure, scale)
+        source = _Frames(path, capture, exposure, options.bits or format_.bits)
         stream = TimestampedStream[Pixels](
             source, self._clock, self._mode.interval_s, sequence=lambda: capture.sequence
         )
         stream.start()
+        if format_.bits == 16 and options.bits is None and (first := stream.read()) is not None:
+            source.shift = 16 - used_bits(first)
+        self._scale = scale = sample_scale(
+            format_,
+            node.current_format(),
+            bits=16 - source.shift if source.shift else options.bits,
+            black=options.black,
+            luma_range=options.range,
+            response=options.response,
+        )
         delay = ControlDelay.from_record(load_profile(info).delays.get(self._mode.name))
         self._pipeline = ExposurePipeline(
             stream, delay, lambda pixels: mean_brightness(pixels, scale.white - scale.black)
@@ -171,6 +175,7 @@ class V4l2Camera(StreamCamera[Pixels]):
                 *scale.findings,
                 *exposure.findings,
                 *map(note, _rate_notes(announced_s, measured_s)),
+                *map(note, _upper_bits_notes(source.shift)),
                 *delay.findings(info.id),
             ),
         )
@@ -204,12 +209,10 @@ class V4l2Camera(StreamCamera[Pixels]):
 class _Frames:
     """The stream of an open node: a `camctl.streaming.TimestampedSource` of pixels."""
 
-    def __init__(
-        self, path: str, capture: Capture, exposure: ExposureControl, scale: SampleScale
-    ) -> None:
+    def __init__(self, path: str, capture: Capture, exposure: ExposureControl, bits: int) -> None:
         self._path = path
         self._capture = capture
-        self._bits = scale.bits
+        self._bits, self.shift = bits, 0  # bits below the used ones of a sample
         self.write = exposure.write
         self.grab = capture.grab
 
@@ -221,7 +224,9 @@ class _Frames:
         """
         pixels = self._capture.retrieve()
         if pixels is None or self._bits == 8 * pixels.itemsize:
-            return pixels
+            return (
+                pixels if pixels is None or not self.shift else np.right_shift(pixels, self.shift)
+            )
         most = int(pixels.max())
         if most >= 2**self._bits:
             raise CameraProtocolError(
@@ -237,3 +242,7 @@ def _rate_notes(announced_s: float, measured_s: float) -> tuple[str, ...]:
         return ()
     announced, measured = 1 / announced_s, 1 / measured_s
     return (f"the camera announces {announced:.3g} frames a second and sends {measured:.3g}",)
+
+
+def _upper_bits_notes(shift: int) -> tuple[str, ...]:
+    return (f"the upper {16 - shift} bits of 16 are used, by the first frame",) if shift else ()

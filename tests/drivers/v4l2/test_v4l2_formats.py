@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from v4l2_bench import one_frame, open_model, opening_error
 from v4l2_model import COLUMNS, ROWS, Model, brightness
 
@@ -77,6 +78,22 @@ class TestFormats:
             assert int(one_frame(camera, 10).pixels.max()) < 2**14
             with pytest.raises(CameraProtocolError, match="which has more than 14 bits"):
                 one_frame(camera, 200)
+
+    def test_y16_of_which_the_upper_bits_are_used(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """They are counted once, at opening, as 12 bits: the step of 16 is that of the samples."""
+
+        def shifted(ticks: int, bits: int = 8) -> NDArray[np.float64]:
+            return brightness(ticks, bits) // 16 * 16
+
+        light = np.geomspace(0.002, 0.5, 16 * 32).reshape(16, 32)
+        for name, value in (("LIGHT", light), ("ROWS", 16), ("COLUMNS", 32)):
+            monkeypatch.setattr(f"v4l2_model.{name}", value)
+        monkeypatch.setattr("v4l2_model.brightness", shifted)
+        with open_model(Model(formats=("Y16 ",), sizes=((32, 16),))) as camera:
+            controls = camera.controls
+            assert (controls.bits, controls.white, controls.levels.M) == (12, 4095, 4095)
+            assert np.array_equal(one_frame(camera, 10).pixels, brightness(10, 12))
+            assert any("the upper 12 bits of 16" in note for note in controls.notes)
 
     @pytest.mark.parametrize(
         ("quantization", "range_", "black", "white"),
