@@ -7,11 +7,14 @@ it: together they hold the 16 x 16 pixels in which JPEG files round colours (ITU
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.patches import SIDE
 from camctl.interface.camera import Pixels
+from camctl.model.colour_rounding import ENCODED
 from camctl.model.sensor import JPEG_ERROR
 from camctl.system.picture_operations import dilated
 
@@ -56,6 +59,40 @@ def local_ranges(frame: Pixels, white: int) -> Ranges:
         around = dilated(above, (3, 3)) - (255 - dilated(below, (3, 3)))
         found.append(np.maximum(above - (255 - below), around // _BESIDE))
     return np.asarray(np.maximum.reduce(found))
+
+
+def mixed_colours(
+    clipped: NDArray[np.float64], short: Pixels, places: tuple[NDArray[np.intp], ...]
+) -> NDArray[np.float64]:
+    """Return the error of samples by the mean colour of cells, of what saturation clips off.
+
+    Decoders interpolate cells linearly.
+
+    Args:
+        clipped: off each colour, by the brightness of the shorter frame, (3, levels)
+        short: the shorter frame from an even row and column on, (rows, columns, 3)
+        places: rows, columns and colours of samples of it
+    """
+    row, column, colour = places
+    own = np.arange(3)[:, np.newaxis] == colour
+    weights = own - ENCODED[0][:, np.newaxis]  # of a colour without Y
+
+    def colours(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.float64]:
+        pixels = short[rows, columns]
+        each = [clipped[k].take(pixels[:, k], mode="clip") * weights[k] for k in range(3)]
+        return np.asarray(np.sum(each, axis=0))
+
+    found = -colours(row, column)
+    parts = []
+    for place, length in zip((row, column), short.shape, strict=False):
+        cell, count = place // 2, -(-length // 2)
+        beside = np.clip(cell + 2 * (place % 2) - 1, 0, count - 1)
+        parts.append([(3 / 16, cell, length), (1 / 16, beside, length)])
+    for (high, down, rows), (wide, across, columns) in product(*parts):
+        for y, x in product(range(2), range(2)):
+            there = np.minimum(2 * down + y, rows - 1), np.minimum(2 * across + x, columns - 1)
+            found += 4 * high * wide * colours(*there)
+    return found
 
 
 def _blocks(frame: Pixels, reduce: np.ufunc) -> Pixels:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.evidence.edges import Ranges, edge_levels, local_ranges, ranges_at
+from camctl.evidence.edges import Ranges, local_ranges, ranges_at
 from camctl.evidence.patch_errors import MEAN_RADIUS
 from camctl.evidence.patches import SIDE
 from camctl.evidence.ratio_check import SIGNIFICANCE
@@ -37,6 +37,8 @@ mask.  Half of it is for single samples and half for means, and each is divided 
 #: Residuals count up to so many standard deviations in a mean: a single sample (a cosmic ray, a
 #: pixel that blinks) is 4 / 5 of one there, and is not significant by itself.
 _MOST_SIGMAS = 4.0
+#: Side of the square of a mean, samples.
+_SIDE = 2 * MEAN_RADIUS + 1
 #: Steps in which residuals are counted, of a standard deviation: the rounding of two tables adds at
 #: most 5 / 32 of one to a mean.
 _STEPS = 32
@@ -255,7 +257,7 @@ class _FramePair:
         if residuals is not None:
             if free is not None:
                 residuals *= free
-            places, sizes = self._contradicting_means(residuals, long, first)
+            places, sizes = self._contradicting_means(residuals, short, long, first)
             found[places] = True
             self._add_cells(area, first, places, sizes > self._total.significant)
         _pack(self._total.marks, found[inner], area)
@@ -273,16 +275,16 @@ class _FramePair:
     ) -> int:
         """Do the same in one pass over the samples."""
         assert self._compiled is not None
-        total, side = self._total, 2 * MEAN_RADIUS + 1
+        total = self._total
         # An integer is above a limit that is none if it is above the integer below it.
-        limits = int(total.sigmas * side * _STEPS), math.floor(total.sigmas * _STEPS / side)
+        limits = int(total.sigmas * _SIDE * _STEPS), math.floor(total.sigmas * _STEPS / _SIDE)
         found = self._compiled(short, long, self._table, limits)
         if self._ranges is not None:
             self._limits.leave_out_edges(found.outside, short, long, self._ranges, first)
         places: _Places = np.unravel_index(found.places, short.shape)
-        sizes = np.abs(found.sums) / (side * _STEPS)
+        sizes = np.abs(found.sums) / (_SIDE * _STEPS)
         if self._ranges is not None:
-            places, sizes = self._beyond_edges(places, sizes, long, first)
+            places, sizes = self._beyond_edges(places, sizes, short, long, first)
         found.outside[places] = True
         self._add_cells(area, first, places, sizes > total.significant)
         _pack(total.marks, found.outside[inner], area)
@@ -348,52 +350,53 @@ class _FramePair:
             near = _beyond(residuals, below + 1, above - 1)
             places = np.unravel_index(np.flatnonzero(near), near.shape)
             if places[0].size <= near.size // 16:
-                near[places] = limits.outside_at(
-                    places, short[places], long[places], self._ranges, first
-                )
+                near[places] = limits.outside_at(places, short, long, self._ranges, first)
                 return near
         return limits.outside(short, long, self._ranges, first)
 
     def _contradicting_means(
-        self, residuals: _Levels, long: Pixels, first: tuple[int, int]
+        self, residuals: _Levels, short: Pixels, long: Pixels, first: tuple[int, int]
     ) -> tuple[_Places, NDArray[np.float64]]:
         """Return the places of samples whose mean contradicts, and the size of its residual.
 
         Args:
             residuals: of the samples of a part, 0 where one does not count
-            long: the same part of the longer frame
+            short: the same part of the shorter frame
+            long: of the longer frame
             first: row and column where the part begins
         """
-        side = 2 * MEAN_RADIUS + 1
         sums = box_sums(residuals, MEAN_RADIUS)
-        limit = int(self._total.sigmas * side * _STEPS)
+        limit = int(self._total.sigmas * _SIDE * _STEPS)
         contradict = _beyond(sums, -limit, limit)
         # Most areas have none; numpy's nonzero is five times as slow as this.
         places = np.unravel_index(np.flatnonzero(contradict), contradict.shape)
         # A sample beside what moved is in its mean, and does not differ by itself: it has to by as
         # much as each sample of the weakest mean that contradicts.
         own = residuals[places].astype(np.int32) * np.sign(sums[places])
-        used = own * side > self._total.sigmas * _STEPS
+        used = own * _SIDE > self._total.sigmas * _STEPS
         places = tuple(each[used] for each in places)
-        sizes = np.abs(sums[places]) / (side * _STEPS)
+        sizes = np.abs(sums[places]) / (_SIDE * _STEPS)
         if self._ranges is not None:
-            return self._beyond_edges(places, sizes, long, first)
+            return self._beyond_edges(places, sizes, short, long, first)
         return places, sizes
 
     def _beyond_edges(
-        self, places: _Places, sizes: NDArray[np.float64], long: Pixels, first: tuple[int, int]
+        self,
+        places: _Places,
+        sizes: NDArray[np.float64],
+        short: Pixels,
+        long: Pixels,
+        first: tuple[int, int],
     ) -> tuple[_Places, NDArray[np.float64]]:
         """Return the same of the means that errors of photographs at edges leave."""
         assert self._ranges is not None
         pair = self._limits.pair
-        white, tables = pair.sensor.white, pair.tables
-        after = places[2], np.minimum(long[places], white)
-        levels = edge_levels(ranges_at(self._ranges, places, first), white)
-        edges = (2 * MEAN_RADIUS + 1) * levels * pair.sensor.step(tables.mean[after])
-        square = tables.square[after]
-        sizes = sizes * (square / np.hypot(square, edges))
-        used = sizes > self._total.sigmas
-        return tuple(each[used] for each in places), sizes[used]
+        square = pair.tables.square[pair.codes(places, short, long)[1]]
+        around = ranges_at(self._ranges, places, first)
+        used, sizes = pair.beyond_edges(
+            self._total.sigmas, sizes, square, places, short, long, around, samples=_SIDE
+        )
+        return tuple(each[used] for each in places), sizes
 
     def _residuals(self, short: Pixels, long: Pixels, comparable: Mask) -> _Levels:
         """Return the normalised residual of each sample, in `_STEPS` of a standard deviation.
@@ -441,7 +444,7 @@ def _residual_tables(
         light, first = np.unique(np.maximum.accumulate(mean[: pair.saturated]), return_index=True)
         density = 1 / np.maximum(square[first], 1e-12 * sensor.full)
         scale = np.append(0.0, np.cumsum(np.diff(light) * (density[1:] + density[:-1]) / 2))
-        for number, each in enumerate((sensor.light, mean)):
+        for number, each in enumerate((pair.lights[k], mean)):
             inside = np.interp(each, light, scale)
             inside += np.minimum(each - light[0], 0.0) * density[0]
             tables[number, k] = inside + np.maximum(each - light[-1], 0.0) * density[-1]

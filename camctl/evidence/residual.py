@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.evidence.edges import Ranges, edge_levels, ranges_at
+from camctl.evidence.edges import Ranges, edge_levels, mixed_colours, ranges_at
 from camctl.evidence.patch_errors import (
     LEAST_PATCHES,
     MEAN_SAMPLES,
@@ -158,6 +158,93 @@ class Pair:
             )
         ]
 
+    @cached_property
+    def lights(self) -> _Floats:
+        """Light by the brightness of the shorter frame, (colours, white + 1).
+
+        Files have errors of what saturated the longer frame, too: it is no farther from what that
+        shows than white is.
+        """
+        found = np.tile(self.sensor.light, (len(self.tables.mean), 1))
+        return np.minimum(found, self._white) if self.is_processed else found
+
+    @cached_property
+    def _white(self) -> _Floats:
+        """Light that white in the longer frame shows, (colours, 1)."""
+        return np.asarray(self.tables.mean.max(axis=1, keepdims=True))
+
+    @cached_property
+    def clipped(self) -> _Floats:
+        """What saturation clips off in the longer frame, levels of the shorter one, like `lights`.
+
+        Responses are about powers of the light.
+        """
+        codes = np.arange(self.sensor.white + 1)
+        most = np.interp(self._white, self.sensor.light, codes)
+        return np.maximum(codes - most, 0.0)
+
+    def codes(
+        self, places: _Places, short: Pixels, long: Pixels
+    ) -> tuple[NDArray[np.intp], tuple[NDArray[np.intp], NDArray[np.intp]]]:
+        """Return brightness of samples in the shorter frame, and the place in tables of each."""
+        colour = places[2] if len(self.tables.mean) > 1 else np.zeros_like(places[0])
+        before, after = (
+            np.minimum(each[places], self.sensor.white).astype(np.intp) for each in (short, long)
+        )
+        return before, (colour, after)
+
+    def beyond_edges(
+        self,
+        sigmas: float,
+        sizes: _Floats,
+        deviations: _Floats,
+        places: _Places,
+        short: Pixels,
+        long: Pixels,
+        ranges: Ranges,
+        *,
+        samples: int = 1,
+        has_neighbours: bool = True,
+    ) -> tuple[NDArray[np.intp], _Floats]:
+        """Return which residuals of photographs errors at edges leave, and their sizes then.
+
+        Args:
+            sigmas: size from which on residuals contradict
+            sizes: of residuals, in standard deviations, (N,)
+            deviations: these, light
+            places: of them in a part of the frames
+            short: brightness of the part in the shorter frame
+            long: in the longer one
+            ranges: of brightness around each
+            samples: on the side of the square that each is the mean of
+            has_neighbours: whether pixels of the part are neighbours in the frame
+        """
+        before, after = self.codes(places, short, long)
+        steps = samples * self._edge_steps(before, after)
+        levels = edge_levels(ranges, self.sensor.white)
+        found = sizes * (deviations / np.hypot(deviations, levels * steps))
+        used = np.flatnonzero(found > sigmas)
+        if has_neighbours and used.size and self.clipped[:, short.max()].any():
+            some = tuple(each[used] for each in places)
+            more = np.hypot(levels[used], mixed_colours(self.clipped, short, some))
+            deviations = deviations[used]
+            left = sizes[used] * (deviations / np.hypot(deviations, more * steps[used]))
+            found[used], used = left, used[left > sigmas]
+        return used, found[used]
+
+    def _edge_steps(self, before: NDArray[np.intp], after: tuple[NDArray[np.intp], ...]) -> _Floats:
+        """Return the light of one level of error at edges.
+
+        Both frames have errors, but where the shorter one shows more than saturates the longer one,
+        that of the longer one alone counts.
+        """
+        mean, steps = self.tables.mean[after], self.sensor.step(self.tables.mean[after])
+        beyond = self.sensor.light[before] - mean
+        share = (self.lights[after[0], before] - mean) / np.where(beyond > 0, beyond, np.inf)
+        own = np.gradient(self.tables.mean, axis=1)[after]
+        is_less = self.sensor.light[before] > self.lights[after[0], before]
+        return np.where(is_less, np.minimum(steps, np.maximum(own, share * steps)), steps)
+
     def limits(self, sigmas: float) -> Limits:
         """Return the brightness that holds the light within `sigmas` standard deviations.
 
@@ -171,6 +258,8 @@ class Pair:
         high = np.searchsorted(light, tables.mean + beyond * tables.sample, side="right") - 1
         if not self.is_measured:
             low[:], high[:] = 0, white
+        if self.is_processed:
+            high[light[high] >= self._white] = white
         high[:, self.saturated :] = white
         least, most = (np.clip(each, 0, white).astype(np.uint16) for each in (low, high))
         return Limits(least, np.maximum(most, least), self, sigmas)
@@ -208,7 +297,7 @@ class Limits:
         long: Pixels,
         ranges: Ranges | None = None,
         first: tuple[int, int] = (0, 0),
-        every: tuple[int, int] = (1, 1),
+        every: tuple[int, int] | None = None,
     ) -> NDArray[np.bool_]:
         """Return which samples of a shorter exposure contradict the longer one.
 
@@ -217,7 +306,7 @@ class Limits:
             long: likewise, of the same shape
             ranges: `local_ranges` of the longer frame, for limits at edges
             first: row and column of the frame where they begin
-            every: distance of their rows and of their columns in it
+            every: distance of their rows and of their columns in it; None: they are neighbours
         """
         found = outside_limits(self.low, self.high, short, long)
         if ranges is not None:
@@ -231,13 +320,15 @@ class Limits:
         long: Pixels,
         ranges: Ranges,
         first: tuple[int, int],
-        every: tuple[int, int] = (1, 1),
+        every: tuple[int, int] | None = None,
     ) -> None:
         """Leave out of `found`, samples outside limits, those that errors at edges explain."""
         places = np.unravel_index(np.flatnonzero(found), found.shape)
         if places[0].size:
-            around = ranges_at(ranges, places, first, every)
-            found[places] = self._outside_edges(places, short[places], long[places], around)
+            around = ranges_at(ranges, places, first, every or (1, 1))
+            found[places] = self._outside_edges(
+                places, short, long, around, has_neighbours=every is None
+            )
 
     def outside_at(
         self,
@@ -251,34 +342,33 @@ class Limits:
 
         Args:
             places: of the samples in their part of the frame
-            short: brightness of the samples in the shorter frame
+            short: brightness of the part in the shorter frame
             long: in the longer one
             ranges: `local_ranges` of the longer frame, for limits at edges
             first: row and column of the frame where the part begins
         """
-        white = self.low.shape[1] - 1
-        before, after = np.minimum(short, white), (self._colour(places), np.minimum(long, white))
+        before, after = self.pair.codes(places, short, long)
         found = (before < self.low[after]) | (before > self.high[after])
         if ranges is not None and found.any():
             some = tuple(each[found] for each in places)
             around = ranges_at(ranges, some, first)
-            found[found] = self._outside_edges(some, short[found], long[found], around)
+            found[found] = self._outside_edges(some, short, long, around, has_neighbours=True)
         return np.asarray(found)
 
-    def _colour(self, places: _Places) -> NDArray[np.intp]:
-        """Return the row of the tables for samples at places."""
-        return places[2] if len(self.low) > 1 else np.zeros_like(places[0])
-
     def _outside_edges(
-        self, places: _Places, short: Pixels, long: Pixels, ranges: Ranges
+        self, places: _Places, short: Pixels, long: Pixels, ranges: Ranges, *, has_neighbours: bool
     ) -> NDArray[np.bool_]:
         """Return which samples, (N,), contradict with these ranges of brightness around them."""
-        sensor, tables = self.pair.sensor, self.pair.tables
-        after = self._colour(places), np.minimum(long, sensor.white)
-        mean = tables.mean[after]
-        edges = edge_levels(ranges, sensor.white) * sensor.step(mean)
-        error = np.abs(sensor.light[np.minimum(short, sensor.white)] - mean)
-        return np.asarray(error > self.sigmas * np.hypot(tables.sample[after], edges))
+        pair = self.pair
+        before, after = pair.codes(places, short, long)
+        sample = pair.tables.sample[after]
+        sizes = np.abs(pair.lights[after[0], before] - pair.tables.mean[after]) / sample
+        used = np.zeros(sizes.size, np.bool_)
+        left, _ = pair.beyond_edges(
+            self.sigmas, sizes, sample, places, short, long, ranges, has_neighbours=has_neighbours
+        )
+        used[left] = True
+        return used
 
 
 def outside_limits(

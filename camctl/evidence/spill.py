@@ -151,10 +151,9 @@ class LightSpread:
         if self.streaks:
             spread |= _connected_runs(_any_colour(found), source)
             # Single samples of a short exposure have too much noise there, a streak has not.
-            low, high = (
-                each[:, self.white - 1].astype(np.float32) for each in (limits.low, limits.high)
-            )
-            middle, error = (low + high) / 2, (high - low) / 2
+            light, mean = limits.pair.sensor.light, limits.pair.tables.mean[:, self.white - 1]
+            middle = np.interp(mean, light, np.arange(light.size)).astype(np.float32)
+            error = middle - limits.low[:, self.white - 1].astype(np.float32)
             saturated = ~comparable
             count, total = (
                 sums_along_columns(each, _AROUND)
