@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import lru_cache, partial
+from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,6 @@ from camctl.pictures.preview_light import PREVIEW_SIDE, LightReducer
 from camctl.pictures.render import Rendering, Strip
 from camctl.stills import maps
 from camctl.stills.separate import map_apart
-from camctl.system.compiled_functions import has_compiler
 from camctl.system.files import atomic_file, storage_error, write_bytes
 from camctl.system.input_files import check_regular, read_own_file
 from camctl.system.interrupts import uninterrupted
@@ -136,13 +135,13 @@ def _written(
     """Yield the strips of image.tiff; each of them is in `exr`, `reducer` and `raw` then."""
     row = 0
 
-    def prepared(render: Callable[[], Strip]) -> tuple[Strip, Callable[[], None]]:
+    def prepared(render: Callable[[], Strip]) -> tuple[Strip, dict[str, NDArray[Any]]]:
         strip = render()
-        return strip, exr.prepared(strip)
+        return strip, exr.channels(strip)
 
-    for strip, write in in_threads(prepared, rendering.strips(total)):
+    for strip, channels in in_threads(prepared, rendering.strips(total)):
         reduced = threads.submit(reducer.add, strip)
-        write()
+        exr.write(channels)
         if raw is not None and strip.mosaic is not None:
             raw[row : row + len(strip.mosaic)] = strip.mosaic / np.float32(rendering.full)
             row += len(strip.mosaic)
@@ -346,16 +345,9 @@ class _RadianceFile:
         # the Python code that it calls.
         self._file = uninterrupted(OpenEXR.OutputFile)(os.fsencode(path), header)
         self.close = self._file.close
-        self._lines: Any = None
-        if lights and deviations and size[0] * size[1] >= _LARGE and has_compiler():
-            from camctl.stills.compiled_runs import LinesFile
 
-            self._file.close()  # it has written the header, and room for the places of the lines
-            self._lines = LinesFile(path, size[1])
-            self.close = self._lines.close
-
-    def prepared(self, strip: Strip) -> Callable[[], None]:
-        """Return what appends the channels of a strip."""
+    def channels(self, strip: Strip) -> dict[str, NDArray[Any]]:
+        """Return the channels of a strip, (rows, columns) each."""
         found: dict[str, NDArray[Any]] = {}
         for name, light, deviation, mask in zip(
             self._names, strip.irradiance, strip.deviation, strip.mask, strict=True
@@ -363,17 +355,13 @@ class _RadianceFile:
             found[name] = self._light(light)
             found[_DEVIATION_PREFIX + name] = self._deviation(deviation)
             found[_MASK_PREFIX + name] = looked_up(_MASKS, mask).view(np.float16)
-        write: Callable[[], None]
-        if self._lines is None:
-            pixels = uninterrupted(self._file.writePixels)
-            write = partial(pixels, found, len(strip.mask[0]))
-        else:
-            write = self._lines.prepared([found[name] for name in sorted(found)])
-        return partial(self._written, write)
+        return found
 
-    def _written(self, write: Callable[[], None]) -> None:
+    def write(self, channels: dict[str, NDArray[Any]]) -> None:
+        """Append the channels of a strip."""
+        rows = len(next(iter(channels.values())))
         try:
-            write()
+            uninterrupted(self._file.writePixels)(channels, rows)
         except OSError as error:
             # Converted here: the TIFF file is written around this call, and would be named instead.
             raise storage_error(self._final, error) from error
