@@ -38,6 +38,18 @@ def test_man_pages_of_all_commands_are_valid(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+def test_man_pages_are_written_where_only_a_build_has_its_packages(tmp_path: Path) -> None:
+    """`[build-system]` of pyproject.toml names them: pip makes the pages before all else."""
+    code = (
+        "import runpy, sys; from pathlib import Path; before = set(sys.modules)\n"
+        f"runpy.run_path({str(DOCS / 'write_man_pages.py')!r})['main'](Path({str(tmp_path)!r}))\n"
+        "print(*{each.partition('.')[0] for each in set(sys.modules) - before})"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split()) - sys.stdlib_module_names
+    assert loaded <= {"camctl", "click", "platformdirs"}
+
+
 @pytest.mark.slow
 def test_the_wheel_installs_the_man_pages(tmp_path: Path) -> None:
     root, wheels, prefix = DOCS.parent, tmp_path / "wheels", tmp_path / "prefix"

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from camctl.findings import Finding
 from camctl.system.number_text import percent_text
+
+if TYPE_CHECKING:
+    from camctl.findings import Finding
 
 
 def exposures_contradict(finding: Finding) -> str:
