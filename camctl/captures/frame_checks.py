@@ -29,6 +29,7 @@ from camctl.evidence.shown_levels import other_levels
 from camctl.findings import Finding, Place
 from camctl.interface.camera import Camera, Pixels
 from camctl.interface.controls import ExposureControls, Layout, ResponseOrigin
+from camctl.interface.layout import FEW_CHROMA_SAMPLES
 from camctl.model.noise import FrameNoise
 from camctl.model.sensor import ESTIMATED_RESPONSE_ERROR, FILE_OFFSET, RESPONSE_ERROR
 from camctl.pictures.details import thumbnail
@@ -238,6 +239,8 @@ class FrameChecks:
         ]
         sides.sort(key=lambda side: side.exposure)
         samples, found = self._check.samples(len(sides)), []
+        frames = filter(None, self._capture.frames)
+        few = any(each.details.get(FEW_CHROMA_SAMPLES) for each in frames)
         # Colours whose responses are not quite alike are distinguished where that is measured.
         colours = 3 if noise is None and self._controls.layout is Layout.RGB else 1
         for short, long in pairwise(sides):
@@ -245,7 +248,7 @@ class FrameChecks:
             both = samples[short.position], samples[long.position]
             check = self._check.compare(*both, ratio)
             patches = both[0].patches, both[1].patches
-            pair = Pair(self._check.scale, short, long, ratio, patches, colours)
+            pair = Pair(self._check.scale, short, long, ratio, patches, colours, few)
             if not check.agrees and check.measured is not None:
                 shown = replace(pair, ratio=check.measured)
                 if check.is_one_ratio or shown.contradicting < pair.contradicting / 2:

@@ -21,6 +21,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from camctl.evidence.chroma import has_few_chroma_samples
 from camctl.evidence.edges import Ranges, edge_levels, mixed_colours, ranges_at
 from camctl.evidence.patch_errors import (
     LEAST_PATCHES,
@@ -89,6 +90,7 @@ class Pair:
         ratio: of the light in the longer frame to that in the shorter one, as most patches show
         samples: patches of both frames, colour by colour
         colours: of a pixel, 1 or 3: planes that may differ where the noise is unknown
+        few_chroma_samples: as in `camctl.pictures.frame_light.frame_light`
     """
 
     sensor: SensorModel
@@ -97,6 +99,7 @@ class Pair:
     ratio: float
     samples: tuple[Patches, Patches]
     colours: int = 1
+    few_chroma_samples: bool = False
 
     @property
     def is_known(self) -> bool:
@@ -177,9 +180,10 @@ class Pair:
     def clipped(self) -> _Floats:
         """What saturation clips off in the longer frame, levels of the shorter one, like `lights`.
 
-        Responses are about powers of the light.
+        Responses are about powers of the light.  Files with all samples of colours mix none of it.
         """
-        codes = np.arange(self.sensor.white + 1)
+        few = self.few_chroma_samples or has_few_chroma_samples(self.samples, self.saturated - 1)
+        codes = np.arange(self.sensor.white + 1) * few
         most = np.interp(self._white, self.sensor.light, codes)
         return np.maximum(codes - most, 0.0)
 

@@ -159,7 +159,8 @@ def combine(
     if method != "sum":
         shown = known or _noise_of_all_light(light, kind)
         is_one_wrong = any("colour" in each.details for each in findings)  # its level is the cause
-        marked = _contradictions(found.mask, pictures, parts, relative, shown, samples, black)
+        compared = parts, relative, shown, samples, black, few_chroma_samples
+        marked = _contradictions(found.mask, pictures, *compared)
         findings += () if is_one_wrong else marked
     if (unknown := float(np.isnan(found.sd).mean())) > 0:
         findings.append(Finding(code="noise_unknown", value=unknown))
@@ -281,10 +282,12 @@ def _contradictions(
     noise: Sequence[FrameNoise] | None,
     samples: list[Patches],
     black: int,
+    few_chroma_samples: bool,
 ) -> list[Finding]:
     """Mark where frames contradict each other, and return what there is to know about it."""
     ratios, findings = _ratios(parts, exposures, noise, samples, black)
-    for movement, view in _movements(pictures, parts, exposures, noise, samples, black, ratios):
+    compared = parts, exposures, noise, samples, black, ratios, few_chroma_samples
+    for movement, view in _movements(pictures, *compared):
         marks = view(mask)
         marks |= movement.rows(0, len(marks)) * np.uint8(CONTRADICTING)
         findings += movement.found.findings
@@ -338,6 +341,7 @@ def _movements(
     samples: list[Patches],
     black: int,
     ratios: dict[tuple[int, int], float],
+    few_chroma_samples: bool,
 ) -> list[tuple[Movement, _View]]:
     """Return where the frames contradict each other, and which samples that is about.
 
@@ -364,6 +368,7 @@ def _movements(
                 ratios.get((short.position, long.position), long.exposure / short.exposure),
                 (patches[short.position], patches[long.position]),
                 colours,
+                few_chroma_samples,
             )
             for short, long in pairwise(sides)
         ]

@@ -24,13 +24,15 @@ def scene() -> NDArray[np.float64]:
     return np.asarray(0.04 * cv2.GaussianBlur(patches, (0, 0), 1.0))
 
 
-def marks(lights: list[NDArray[np.float64]], quality: int) -> NDArray[np.bool_]:
-    """Return which samples contradict of files of 4:2:0 of these lights."""
+def marks(
+    lights: list[NDArray[np.float64]], quality: int, chroma: int = 0x221111
+) -> NDArray[np.bool_]:
+    """Return which samples contradict of files of these lights, of 4:2:0 unless told."""
     rng, frames = np.random.default_rng(3), []
     for exposure, light in zip(_EXPOSURES, lights, strict=True):
         x = rng.poisson(np.minimum(exposure * light, 8) * 15_000) / 15_000
         pixels = np.searchsorted(_REAL.levels, x + rng.normal(0, 2e-3, x.shape), "right")
-        options = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, 0x221111]
+        options = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, chroma]
         data = cv2.imencode(".jpg", pixels.astype(np.uint8)[..., ::-1], options)[1]
         frames.append(np.asarray(cv2.imdecode(data, 1), np.uint8)[..., ::-1])
     return camctl.combine(frames, _EXPOSURES, response=_REAL).mask & _CONTRADICTS > 0
@@ -55,6 +57,18 @@ def test_what_moves_beside_saturated_colours_is_found(moved: int) -> None:
     assert found[is_changed].mean() > 0.7
     found[92:168, 92:168] = False
     assert found.mean() < FALSE_ALARMS
+
+
+def test_files_with_all_colours_mix_none() -> None:
+    """39 % were marked where files of 4:4:4 were taken for ones that mix what is clipped."""
+    light = scene()
+    other = light.copy()
+    moved = slice(100, 160), slice(100, 160)
+    other[moved] *= 0.6
+    is_changed = light[moved] * _EXPOSURES[2] < 0.5
+    is_changed &= (light[moved] * _EXPOSURES[2] > 1).any(axis=2, keepdims=True)
+    assert marks([light, light, other], 90, 0x111111)[moved][is_changed].mean() > 0.43
+    assert marks([light] * 3, 90, 0x111111).mean() < FALSE_ALARMS / 10
 
 
 @pytest.mark.parametrize("shape", [(12, 16), (13, 17)])
