@@ -39,9 +39,17 @@ def lines(groups: Pixels, shape: tuple[int, int]) -> Pixels:
     return groups.reshape(rows, -1)[:, :columns]
 
 
-def used_bits(pixels: Pixels) -> int:
-    """Return how many upper bits of a 16-bit frame are used; 16 where it shows too little."""
-    if np.count_nonzero(np.bincount(pixels.reshape(-1))) < _LEAST_CODES:
+def used_bits(pixels: Pixels, stated: int | None = None) -> int:
+    """Return how many upper bits of a 16-bit frame are used; 16 where it shows too little.
+
+    Args:
+        pixels: the frame
+        stated: how many of its bits are used, the upper or the lower ones; None: it is not known
+    """
+    # Where it is known, two codes are enough: noise of lower bits changes the lowest one.
+    codes = np.count_nonzero(np.bincount(pixels.reshape(-1)))
+    if codes < (_LEAST_CODES if stated is None else 2):
         return 16
     together = int(np.bitwise_or.reduce(pixels, axis=None))
-    return 17 - (together & -together).bit_length()
+    found = 17 - (together & -together).bit_length()
+    return found if stated is None else stated if found <= stated else 16

@@ -132,13 +132,13 @@ class V4l2Camera(StreamCamera[Pixels]):
         resources.callback(capture.close)
         self._mode = StreamMode(format_, shape, capture.interval_s)
         exposure = self._exposure(node, shape[1], resources)
-        source = _Frames(path, capture, exposure, options.bits or format_.bits)
+        source = _Frames(path, capture, exposure, format_.bits)
         stream = TimestampedStream[Pixels](
             source, self._clock, self._mode.interval_s, sequence=lambda: capture.sequence
         )
         stream.start()
-        if format_.bits == 16 and options.bits is None and (first := stream.read()) is not None:
-            source.shift = 16 - used_bits(first)
+        if format_.bits == 16 and (first := stream.read()) is not None:
+            source.shift = 16 - used_bits(first, options.bits)
         self._scale = scale = sample_scale(
             format_,
             node.current_format(),
@@ -147,6 +147,7 @@ class V4l2Camera(StreamCamera[Pixels]):
             luma_range=options.range,
             response=options.response,
         )
+        source.bits = 16 if source.shift else scale.bits
         delay = ControlDelay.from_record(load_profile(info).delays.get(self._mode.name))
         self._pipeline = ExposurePipeline(
             stream, delay, lambda pixels: mean_brightness(pixels, scale.white - scale.black)
@@ -212,7 +213,7 @@ class _Frames:
     def __init__(self, path: str, capture: Capture, exposure: ExposureControl, bits: int) -> None:
         self._path = path
         self._capture = capture
-        self._bits, self.shift = bits, 0  # bits below the used ones of a sample
+        self.bits, self.shift = bits, 0  # bits below the used ones of a sample
         self.write = exposure.write
         self.grab = capture.grab
 
@@ -220,17 +221,24 @@ class _Frames:
         """Return the samples of the frame grabbed last; None where it is damaged.
 
         Raises:
-            CameraProtocolError: a sample has more bits than the format
+            CameraProtocolError: a sample has more bits than the format, or than the first frame
         """
         pixels = self._capture.retrieve()
-        if pixels is None or self._bits == 8 * pixels.itemsize:
-            return (
-                pixels if pixels is None or not self.shift else np.right_shift(pixels, self.shift)
-            )
+        if pixels is not None and self.shift:
+            lower = pixels & np.uint16(2**self.shift - 1) > 0
+            if lower.any() and (pixels[lower] < 0xFFFF).any():  # white may have all bits
+                raise CameraProtocolError(
+                    f"{self._path} sent samples of more than the {16 - self.shift} upper bits",
+                    hint="say that all 16 bits are used",
+                    remedies={"option:bits": "16"},
+                )
+            return np.right_shift(pixels, self.shift)
+        if pixels is None or self.bits == 8 * pixels.itemsize:
+            return pixels
         most = int(pixels.max())
-        if most >= 2**self._bits:
+        if most >= 2**self.bits:
             raise CameraProtocolError(
-                f"{self._path} sent the sample {most}, which has more than {self._bits} bits",
+                f"{self._path} sent the sample {most}, which has more than {self.bits} bits",
                 hint="give the number of bits, or choose another format",
                 remedies={"option:bits": None, "option:format": None},
             )

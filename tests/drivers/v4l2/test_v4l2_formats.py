@@ -79,21 +79,28 @@ class TestFormats:
             with pytest.raises(CameraProtocolError, match="which has more than 14 bits"):
                 one_frame(camera, 200)
 
-    def test_y16_of_which_the_upper_bits_are_used(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        """They are counted once, at opening, as 12 bits: the step of 16 is that of the samples."""
+    @pytest.mark.parametrize(("options", "least"), [({}, 0.002), ({"bits": 12}, 0.0007)])
+    def test_y16_of_which_the_upper_bits_are_used(
+        self, monkeypatch: pytest.MonkeyPatch, options: dict[str, int], least: float
+    ) -> None:
+        """They are counted once, at opening, as 12 bits: the step of 16 is that of the samples.
 
-        def shifted(ticks: int, bits: int = 8) -> NDArray[np.float64]:
-            return brightness(ticks, bits) // 16 * 16
-
-        light = np.geomspace(0.002, 0.5, 16 * 32).reshape(16, 32)
-        for name, value in (("LIGHT", light), ("ROWS", 16), ("COLUMNS", 32)):
-            monkeypatch.setattr(f"v4l2_model.{name}", value)
-        monkeypatch.setattr("v4l2_model.brightness", shifted)
-        with open_model(Model(formats=("Y16 ",), sizes=((32, 16),))) as camera:
+        A dark frame shows that a stated number is that of the upper ones.
+        """
+        _of_upper_bits(monkeypatch, np.geomspace(least, 250 * least, 16 * 32))
+        with open_model(Model(formats=("Y16 ",), sizes=((32, 16),)), **options) as camera:
             controls = camera.controls
             assert (controls.bits, controls.white, controls.levels.M) == (12, 4095, 4095)
             assert np.array_equal(one_frame(camera, 10).pixels, brightness(10, 12))
             assert any("the upper 12 bits of 16" in note for note in controls.notes)
+
+    def test_lower_bits_of_later_frames_are_not_lost(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        _of_upper_bits(monkeypatch, np.geomspace(0.002, 0.5, 16 * 32))
+        with open_model(Model(formats=("Y16 ",), sizes=((32, 16),))) as camera:
+            monkeypatch.setattr("v4l2_model.brightness", brightness)
+            with pytest.raises(CameraProtocolError, match="more than the 12 upper bits") as caught:
+                one_frame(camera, 10)
+            assert caught.value.remedies == {"option:bits": "16"}
 
     @pytest.mark.parametrize(
         ("quantization", "range_", "black", "white"),
@@ -178,3 +185,14 @@ class TestFormats:
         model = Model(sizes=((4, 2), (COLUMNS, ROWS), (6, 4)))
         with open_model(model) as camera:
             assert camera.controls.shape == (ROWS, COLUMNS)
+
+
+def _of_upper_bits(monkeypatch: pytest.MonkeyPatch, light: NDArray[np.float64]) -> None:
+    """Let the model show this light, 16 x 32 samples of 16 bits, of which 12 are used."""
+
+    def shifted(ticks: int, bits: int = 8) -> NDArray[np.float64]:
+        return brightness(ticks, bits) // 16 * 16
+
+    for name, value in (("LIGHT", light.reshape(16, 32)), ("ROWS", 16), ("COLUMNS", 32)):
+        monkeypatch.setattr(f"v4l2_model.{name}", value)
+    monkeypatch.setattr("v4l2_model.brightness", shifted)
