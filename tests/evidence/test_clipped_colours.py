@@ -19,8 +19,8 @@ _REAL = camctl.standard_response("srgb", 8)
 def scene() -> NDArray[np.float64]:
     """Return light of sharp patches of many colours, most of which the longest frame clips."""
     rng = np.random.default_rng(7)
-    coarse = np.exp(rng.normal(0, 0.8, (24, 36, 3)) + rng.normal(0, 0.6, (24, 36, 1)))
-    patches = cv2.resize(coarse, (432, 288), interpolation=cv2.INTER_NEAREST)
+    coarse = np.exp(rng.normal(0, 0.8, (18, 28, 3)) + rng.normal(0, 0.6, (18, 28, 1)))
+    patches = cv2.resize(coarse, (336, 216), interpolation=cv2.INTER_NEAREST)
     return np.asarray(0.04 * cv2.GaussianBlur(patches, (0, 0), 1.0))
 
 
