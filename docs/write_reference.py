@@ -22,7 +22,6 @@ import click
 from pydantic import BaseModel
 
 from camctl.cli import cli
-from camctl.cli.old_options import OLD_CAMERA_OPTIONS, OLD_COMMANDS, OLD_OPTIONS, OLD_SETTINGS
 from camctl.exposure.goal import CaptureRequest
 from camctl.findings import CODES, Finding
 from camctl.messages.command_line import OPTIONS as FIELD_OPTIONS
@@ -85,13 +84,6 @@ The options of the commands that make pictures, with the field of `camctl.Captur
 
 | option | field | commands | meaning |
 |---|---|---|---|"""
-OLD = """
-## Options of earlier versions
-
-They still work in this version, and say once what they are now.
-
-| option | now |
-|---|---|"""
 PICTURE_COMMANDS = ("shoot", "series", "preview", "resume", "merge")
 
 
@@ -144,13 +136,6 @@ def options_page() -> str:
         own = re.findall(r"`(.*?)`", option)
         field = ", ".join(f"`{name}`" for opt, name in fields.items() if opt.split()[0] in own)
         lines.append(f"| {option} | {field} | {', '.join(commands)} | {meaning} |")
-    lines.append(OLD)
-    for old, now in {**OLD_CAMERA_OPTIONS, **OLD_OPTIONS, **OLD_SETTINGS, **OLD_COMMANDS}.items():
-        if now == "shoot":
-            continue
-        text = f"camctl {now}" if old in OLD_COMMANDS else now
-        value = " VALUE" if "{}" in now else ""
-        lines.append(f"| `{old}{value}` | `{text.format('VALUE')}` |")
     return "\n".join([*lines, "", "`python docs/write_reference.py` writes this page.", ""])
 
 

@@ -119,19 +119,11 @@ def test_every_block_names_its_language(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_an_option_named_in_the_text_exists(page: Path) -> None:
     from camctl.cli import cli
-    from camctl.cli.old_options import (
-        OLD_CAMERA_OPTIONS,
-        OLD_COMMANDS,
-        OLD_OPTIONS,
-        OLD_SETTINGS,
-    )
 
     text = _BLOCK.sub("", page.read_text("utf-8"))
     spans = re.findall(r"`((?:camctl |-)[^`\n]*)`", text)
     used = {option for span in spans for option in re.findall(r"(?<!\S)--[a-z][a-z-]*", span)}
     known = options_of(cli) | {"--help"}
-    if page.name == "options.md":  # which says what is in their place now
-        known |= {*OLD_CAMERA_OPTIONS, *OLD_OPTIONS, *OLD_SETTINGS, *OLD_COMMANDS}
     assert used <= known
 
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib import import_module
 from typing import Any, TypeAlias
 
 import click
 
 from camctl.cli.configuration import Defaults
-from camctl.cli.old_options import new_command, new_options
-from camctl.cli.output import logged_warnings, print_text, print_warning
+from camctl.cli.output import logged_warnings, print_text
 from camctl.errors import CamctlError, UsageError, unknown_name, visible
 
 DEBUG_KEY = "camctl.debug"
@@ -21,6 +20,14 @@ Examples: TypeAlias = Sequence[tuple[str, str]]
 
 _LONG_EXPLANATION = 70
 """From this many characters on, an example's explanation is wrapped as a paragraph."""
+
+_AS_SETTINGS = {
+    "--levels": ("--set", "levels"),
+    "--objective": ("--set", "objective"),
+    "--tolerance": ("--set", "tolerance"),
+    "--seed": ("-O", "seed"),
+}
+"""Options that several commands share, and the setting that each is where one lacks the option."""
 
 _CONTEXT = {
     "help_option_names": ["-h", "--help"],
@@ -130,7 +137,7 @@ class Command(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse; raise `UsageError` with similar names or with the help page to read."""
         try:
-            rest = super().parse_args(ctx, args)
+            rest = super().parse_args(ctx, list(self._with_settings(args)))
         except click.NoSuchOption as error:
             if self._others_refused:
                 raise UsageError(
@@ -149,6 +156,18 @@ class Command(click.Command):
         if rest and not isinstance(self, click.Group) and not ctx.resilient_parsing:
             raise _usage_error(f"unexpected argument '{rest[0]}'", ctx)
         return rest
+
+    def _with_settings(self, args: Iterable[str]) -> Iterator[str]:
+        """Yield the arguments with the options of `_AS_SETTINGS` as settings."""
+        own = {name for each in self.params for name in each.opts}
+        words = iter(args)
+        for word in words:
+            name, equals, value = word.partition("=")
+            option, setting = _AS_SETTINGS.get(name, ("", ""))
+            if name in own or option not in own:
+                yield word
+            else:
+                yield from (option, f"{setting}={value if equals else next(words, '')}")
 
 
 def _usage_error(message: str, context: click.Context) -> UsageError:
@@ -194,16 +213,11 @@ class LazyGroup(Command, click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Return the command that the first argument names; `UsageError` for an unknown one."""
         name, rest = args[0], args[1:]
-        remarks: list[str] = []
-        if name == "shoot" and not ctx.resilient_parsing:
-            name, rest, remarks = new_command(rest)
+        if name == "shoot" and "--resume" in rest:
+            name, rest = "resume", [word for word in rest if word != "--resume"]
         command = self.get_command(ctx, name)
         if command is None and not ctx.resilient_parsing:
             raise unknown_name("command", name, self.list_commands(ctx))
-        if command is not None and not ctx.resilient_parsing:
-            rest, more = new_options(command, rest)
-            for remark in remarks + more:
-                print_warning(remark)
         return name if command else None, command, rest
 
 

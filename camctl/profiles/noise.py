@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 from pydantic import Field, FiniteFloat, model_validator
 
-from camctl.findings import Finding, note
+from camctl.findings import Finding
 from camctl.model.noise import NoiseModel
 from camctl.profiles.record import Record
 
@@ -163,15 +163,6 @@ class NoiseRecord(Record):
     correlation: float | None = Field(default=None, allow_inf_nan=False)
     findings: tuple[Finding, ...] = Field(default=(), max_length=_MOST)
     measured_at: str
-
-    @model_validator(mode="before")
-    @classmethod
-    def _with_findings(cls, data: Any) -> Any:
-        """Take the sentences that earlier versions of camctl have kept."""
-        if isinstance(data, dict) and isinstance(notes := data.get("notes"), list):
-            kept = {name: value for name, value in data.items() if name != "notes"}
-            return {"findings": [note(str(text)) for text in notes], **kept}
-        return data
 
     @model_validator(mode="after")
     def _agree(self) -> Self:

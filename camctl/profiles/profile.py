@@ -90,8 +90,8 @@ class DelayRecord(Record):
         smallest: the smallest delay of all trials, frames; -1 where a setting acts on the frame
             that is being exposed
         largest: the largest delay of all trials, frames
-        time: (smallest, largest) of the trials in which the shutter time changed; None: none were
-            made, or a profile of an earlier version does not say
+        time: (smallest, largest) of the trials in which the shutter time changed; None: none
+            were made
         gain: the same of the gain
         trials: number of measurements
         measured_at: date and time, ISO 8601

@@ -82,12 +82,10 @@ class CapturePlan:
         findings: what to know before shooting
         gamma: exponent of the response "gamma"; None: 1/2
         objective: what the exposures were chosen by, "accuracy" or "xi"
-        wall_s: predicted time from the request of the first frame until the last one is here, s;
-            None in plans of earlier versions
+        wall_s: predicted time from the request of the first frame until the last one is here, s
         is_wall_known: False where the camera's own times are not known yet, so that `wall_s` is a
             lower bound
-        effective_levels_noise_free: effective levels by quantisation alone; None in plans of
-            earlier versions
+        effective_levels_noise_free: effective levels by quantisation alone
         noise: the noise of the camera; None where it is unknown
         light: how much of the scene's light the picture will hold; None where it was not metered
         scene: the light itself, where much of it is outside the range, so that advice can be asked

@@ -89,7 +89,7 @@ class FrameRecord(StoredFrame):
 
     Attributes:
         exposure: with which the pictures are computed, relative to the smallest of the capture
-        exposure_ratio: where it comes from; None in reports of earlier versions
+        exposure_ratio: where it comes from
     """
 
     model_config = ConfigDict(extra="forbid")

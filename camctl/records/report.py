@@ -19,7 +19,7 @@ from camctl.errors import DataError, UsageError
 from camctl.evidence.movement import FoundMovement
 from camctl.evidence.ratio_check import ReportModel
 from camctl.exposure.goal import CaptureRequest
-from camctl.findings import Finding, note
+from camctl.findings import Finding
 from camctl.interface.camera import CameraInfo, Pixels
 from camctl.interface.controls import Layout, ResponseOrigin
 from camctl.messages.plain import sentence, sentences
@@ -30,7 +30,7 @@ from camctl.records.html import report_html
 from camctl.records.kept_light import KeptLight
 
 FORMAT_VERSION = 3
-"""Version of report.json and of the folder's files; readers accept 2, too."""
+"""Version of report.json and of the folder's files."""
 
 
 class Achieved(ReportModel):
@@ -40,12 +40,12 @@ class Achieved(ReportModel):
         xi: number of desired levels that are missing
         effective_levels: number of equal steps in the desired response that would be as accurate,
             with the camera's noise where it is known
-        effective_levels_noise_free: the same by quantisation alone; None in earlier versions
+        effective_levels_noise_free: the same by quantisation alone
         noise: the noise of the camera; None where it is unknown
         measured: what the pixels show; None where too few are in range in two frames
         gain_over_sum: standard deviation of the light that the sum of the frames shows over that of
             the radiance, which is estimated from all frames: the median of the samples; None where
-            the noise is not known, and in earlier versions
+            the noise is not known
         levels: number of levels of the sum
         levels_distinct: number of them that differ
         saturated_fraction: share of the samples that are saturated in every frame
@@ -93,8 +93,7 @@ class _CaptureData(ReportModel):
         source: what is needed to open the camera again
         layout, pixel_format: of the frames, as in `camctl.ExposureControls`
         repeatable: whether its frames can be shot again, likewise
-        response_origin: whether the response used is stated, measured or only assumed; None in
-            earlier versions
+        response_origin: whether the response used is stated, measured or only assumed
         request: what was asked for
         plan: the plan that is followed
         rejected: files of frames that were shot again
@@ -113,7 +112,7 @@ class _CaptureData(ReportModel):
         versions: of camctl, numpy and Python
         profile: what the camera's profile says of it, one line; None: nothing
         taken_at: when the capture began, by this computer's clock, in a simulated series by the
-            simulated one; None in earlier versions
+            simulated one
     """
 
     format_version: int = FORMAT_VERSION
@@ -122,7 +121,7 @@ class _CaptureData(ReportModel):
     layout: Layout
     pixel_format: str = ""
     repeatable: bool = True
-    response_origin: ResponseOrigin | None = None
+    response_origin: ResponseOrigin
     request: CaptureRequest
     plan: CapturePlan
     rejected: list[str] = Field(default_factory=list)
@@ -160,20 +159,10 @@ class _CaptureData(ReportModel):
     @model_validator(mode="before")
     @classmethod
     def _without_computed(cls, content: object) -> object:
-        """Leave out what follows from other fields; before findings there were sentences alone."""
+        """Leave out what follows from the findings."""
         if not isinstance(content, dict):
             return content
-        found = dict(content)
-        lines = found.pop("warnings", None)
-        if "findings" not in found and isinstance(lines, list):
-            found["findings"] = [note(str(line)) for line in lines]
-        if isinstance(plan := found.get("plan"), dict):
-            light = plan.get("light")
-            found["plan"] = {name: plan[name] for name in plan if name != "warnings"}
-            if isinstance(light, dict):
-                kept = light.keys() - {"advice", "bright_advice"}
-                found["plan"]["light"] = {name: light[name] for name in light if name in kept}
-        return found
+        return {name: value for name, value in content.items() if name != "warnings"}
 
 
 class UnfinishedCapture(_CaptureData):

@@ -56,19 +56,10 @@ _ANY_CAPTURE: TypeAdapter[CaptureReport | UnfinishedCapture] = TypeAdapter(
 )
 
 
-_READ = (2, FORMAT_VERSION)
-"""Versions of reports that are read."""
-
-
-class _Versions(BaseModel):
-    camctl: str = Field(default="unknown", max_length=40)
-
-
 class _Header(BaseModel):
-    """What reports of all versions have in common; reports of format 1 do not state it."""
+    """What reports of all versions have in common."""
 
-    format_version: int | None = None
-    versions: _Versions | str | None = None
+    format_version: int
 
 
 def frame_file(position: int, suffix: str = SAMPLES, rejected: int = 0) -> str:
@@ -146,7 +137,8 @@ def read_report_file(directory: Path) -> CaptureReport | UnfinishedCapture:
             raise _no_report(directory) from error
         raise
     try:
-        if (version := _version_text(data)) is None:
+        version = _Header.model_validate_json(data).format_version
+        if version == FORMAT_VERSION:
             content = pydantic_core.to_json(from_json(pydantic_core.from_json(data)))
             report = _ANY_CAPTURE.validate_json(content)
             problem = next(_problems(report), None)
@@ -155,7 +147,7 @@ def read_report_file(directory: Path) -> CaptureReport | UnfinishedCapture:
     except (CamctlError, ValueError, ArithmeticError) as error:
         problem = str(error)  # the request or the plan in it is invalid
     else:
-        if version is not None:
+        if version != FORMAT_VERSION:
             raise DataError(
                 f"{path} has format version {version}, and this camctl reads {FORMAT_VERSION}",
                 hint="use that camctl; frames/*.npy can be read with numpy.load",
@@ -203,17 +195,6 @@ def _no_report(directory: Path) -> DataError:
     return DataError(
         f"{directory} holds no capture: {REPORT} is missing", hint="name the folder of a capture"
     )
-
-
-def _version_text(data: bytearray) -> str | None:
-    """Return the version of a report, and which camctl wrote it; None for the current version."""
-    header = _Header.model_validate_json(data)
-    version = header.format_version or (1 if header.versions is not None else FORMAT_VERSION)
-    if version in _READ:
-        return None
-    if isinstance(header.versions, str):
-        return f"{version} (written by {header.versions[:60]!r})"
-    return f"{version} (written by camctl {(header.versions or _Versions()).camctl!r})"
 
 
 def _problems(report: CaptureReport | UnfinishedCapture) -> Iterator[str]:

@@ -1,7 +1,7 @@
 """The layout of ``report.json`` and ``--json``: a report without what follows from its fields.
 
 What is null, empty or has its default is left out, and so is what `FOLLOWS` names; `from_json` puts
-the latter back.  It reads format 2, too, which left out nothing.
+the latter back.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from camctl.exposure.search.settings import relative_exposures
 from camctl.interface.controls import ExposureSetting
-from camctl.records.report import FORMAT_VERSION, CaptureReport, UnfinishedCapture
+from camctl.records.report import CaptureReport, UnfinishedCapture
 
 Json = dict[str, Any]
 
@@ -41,8 +41,6 @@ _NOT_REQUIRED: Final[dict[str, set[str]]] = {
 #: What scripts may look for, whatever its value is.
 _ALWAYS = {"format_version", "status", "trustworthy", "findings", "warnings"}
 _PLAN_NOISE = "plan.noise"
-#: Format 2 did not say that frames cannot be shot again: of photographs it named this driver.
-_BEFORE, _PHOTOGRAPHS = 2, "photographs"
 _EMPTY: Final[dict[str, tuple[str, Any]]] = {
     "movement": ("places", []),
     "simulation": ("left_out", {}),
@@ -53,7 +51,6 @@ def to_json(report: CaptureReport | UnfinishedCapture) -> Json:
     """Return a report as it is written."""
     content: Json = report.model_dump(mode="json", exclude_defaults=True)
     content |= report.model_dump(mode="json", include=_ALWAYS)
-    content["format_version"] = FORMAT_VERSION  # also where it was read from format 2
     plan = content["plan"]
     plan |= {"noise": plan.get("noise"), "objective": report.plan.objective}
     _leave_out(plan, _from_settings(plan["settings"]))
@@ -133,10 +130,7 @@ def _completed(content: Json) -> Json:
         )
     plan = {**_from_settings(plan["settings"]), **plan}
     found = {**content, "plan": plan, "frames": frames}
-    if content.get("format_version") == _BEFORE and content["camera"]["driver"] == _PHOTOGRAPHS:
-        found["repeatable"] = False
-    if isinstance(content.get("versions"), str):
-        found["versions"] = dict(part.split(" ", 1) for part in content["versions"].split(", "))
+    found["versions"] = dict(part.split(" ", 1) for part in content["versions"].split(", "))
     if "achieved" in content:
         found.setdefault("white", content["frames"][0]["white"])
         for name, (part, empty) in _EMPTY.items():

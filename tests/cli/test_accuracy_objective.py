@@ -116,3 +116,17 @@ def test_shoot_keeps_a_time_budget(run: Run, count: tuple[str, ...], most: int) 
     assert report["timing"]["actual_wall_s"] <= 0.25 * (1 + 1e-6)
     assert report["timing"]["planned_wall_s"] <= 0.25 * (1 + 1e-6)
     assert len(report["frames"]) == 2 if count else 3 < len(report["frames"]) <= most
+
+
+def test_options_that_solve_has_work_in_shoot_where_they_are_settings(run: Run) -> None:
+    given = ("--levels=300", "--objective", "xi", "--seed", "3", *SMALL, "-n", "2")
+    request = run("shoot", *given, "--json").json["request"]
+    assert (request["levels_wanted"], request["objective"]) == (300, "xi")
+    assert run("shoot", "--objective").status == 2
+    assert "the capture in out is complete" in run("shoot", "--resume", "out").err
+
+
+def test_what_one_picture_needs_is_at_most_20_options() -> None:
+    from camctl.cli.shoot import shoot
+
+    assert len({each.name for each in shoot.params} - {"help", "debug"}) <= 20

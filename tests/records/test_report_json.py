@@ -82,19 +82,6 @@ def test_noise_that_is_unknown_is_null() -> None:
     assert content["plan"]["noise"] is content["achieved"]["noise"] is None
 
 
-def test_reports_of_format_2_are_read(taken: tuple[Path, CaptureReport], tmp_path: Path) -> None:
-    """That format left out nothing."""
-    report = taken[1]
-    before = {**report.model_dump(mode="json"), "format_version": 2}
-    assert from_json(before) == before
-    copy = tmp_path / "copy"
-    (copy / "frames").mkdir(parents=True)
-    (copy / "report.json").write_text(json.dumps(before))
-    again = read_report(copy)
-    assert to_json(again)["format_version"] == 3
-    assert again.model_copy(update={"format_version": 3}).model_dump() == report.model_dump()
-
-
 def test_an_incomplete_report_has_what_goes_on_with_it(tmp_path: Path) -> None:
     from camctl.errors import InterruptedCaptureError
     from camctl.records.folder_store import read_capture
