@@ -51,6 +51,7 @@ from camctl.menu.views import (
     summary_view,
 )
 from camctl.messages.menu import error_text
+from camctl.records import SERIES
 from camctl.system.files import check_space
 from camctl.system.memory import return_free_memory
 
@@ -275,8 +276,15 @@ class CameraJob:
         cancelled: Callable[[], bool],
     ) -> Summary:
         from camctl.captures.sequencer import resume
+        from camctl.menu.series_job import take_series
+        from camctl.records.journal import read_series
 
         folder = self._parent / past.name
+        if (folder / SERIES).is_file():
+            journal = read_series(folder)
+            return self._taken(
+                lambda camera: take_series(camera, journal, folder, on_progress, cancelled)
+            )
 
         def resume_with(camera: Camera) -> CaptureReport:
             return resume(
@@ -296,18 +304,23 @@ class CameraJob:
     ) -> Summary:
         """Take a series into a new folder, as ``camctl series`` does."""
         from camctl.menu.series_job import take_series
+        from camctl.records.journal import SeriesJournal, SeriesOptions
 
         if self._others.cameras:
             raise UsageError(
                 "a series is taken with one camera", hint="choose one", remedies={"cameras": None}
             )
         directory = next_folder(self._parent, datetime.now(), "series")
-        request = self._request_for(series.choice)
+        options = SeriesOptions(repeat=series.count, interval_s=series.interval_s)
 
         def take_with(camera: Camera) -> Summary:
-            return take_series(
-                camera, self._source, request, series, directory, on_progress, cancelled
+            journal = SeriesJournal(
+                camera=camera.info,
+                source=dict(self._source),
+                request=self._request_for(series.choice),
+                options=options,
             )
+            return take_series(camera, journal, directory, on_progress, cancelled)
 
         return self._taken(take_with)
 

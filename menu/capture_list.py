@@ -20,6 +20,8 @@ _NUMBERED = re.compile(r"(?:capture|series)-(\d{4,7})(?:-\d{8}-\d{6})?", re.ASCI
 _FIRST_YEAR = 2026
 """A clock that shows an earlier year was never set."""
 _MOST_LISTED = 100  # the newest ones
+_LONGEST_FILE = 4 << 20
+"""Bytes of a report or a journal that are read at most: a set of a series takes less than 1 kB."""
 
 
 def next_folder(parent: Path, now: datetime, kind: str = "capture", place: int = 0) -> Path:
@@ -36,19 +38,22 @@ def next_folder(parent: Path, now: datetime, kind: str = "capture", place: int =
 def list_captures(parent: Path) -> tuple[Past, ...]:
     """Return the captures in a folder, the newest first, `_MOST_LISTED` of them at most.
 
-    A series has its last picture in the list.
+    A series has its last picture in the list, or itself where pictures are missing.
     """
     if not parent.is_dir():
         return ()
     folders = sorted(parent.iterdir(), key=lambda path: (_number(path.name), path.name))
     found: list[Path] = []
     for folder in reversed(folders):
-        if (folder / SERIES).is_file():
-            folder = max(folder.glob(f"*/{REPORT}"), default=folder / REPORT).parent
-        if (folder / REPORT).is_file():
-            found.append(folder)
+        file = folder / SERIES
+        if not file.is_file():
+            file = folder / REPORT
+        elif _is_complete(file):
+            file = max(folder.glob(f"*/{REPORT}"), default=folder / REPORT)
+        if file.is_file():
+            found.append(file)
     shown = found[:_MOST_LISTED]
-    return tuple(Past(str(each.relative_to(parent)), _is_complete(each)) for each in shown)
+    return tuple(Past(str(each.parent.relative_to(parent)), _is_complete(each)) for each in shown)
 
 
 def _number(name: str) -> int:
@@ -56,10 +61,16 @@ def _number(name: str) -> int:
     return int(found[1]) if found else 0
 
 
-def _is_complete(folder: Path) -> bool:
-    """Return whether a report says that no frame is missing; one that is damaged does not."""
+def _is_complete(file: Path) -> bool:
+    """Return whether nothing is missing by a report, or by the journal of a series.
+
+    A series that is taken by keys ends when the user ends it: it cannot be continued in the menu.
+    """
     try:
-        report = json.loads(bytes(read_own_file(folder / REPORT, 4 << 20)))
-    except (CamctlError, ValueError, RecursionError):
+        found = json.loads(bytes(read_own_file(file, _LONGEST_FILE)))
+        if file.name == REPORT:
+            return bool(found["status"] != "incomplete")
+        sets, wanted = found["sets"], found["options"]["repeat"]
+        return wanted is None or (len(sets) >= wanted and sets[-1]["state"] != "begun")
+    except (CamctlError, ValueError, RecursionError, TypeError, LookupError):
         return True  # looking at it shows what is wrong
-    return not isinstance(report, dict) or report.get("status") != "incomplete"

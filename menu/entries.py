@@ -186,10 +186,20 @@ def _markable(model: Model) -> tuple[Entry, ...]:
     )
 
 
+_UNITS = ((86400, "days"), (3600, "h"), (60, "min"), (1, "s"))
+
+
 def _duration(asked: SeriesChoice) -> str:
+    """Return how long a series takes from its first start to its last.
+
+    >>> _duration(SeriesChoice(Choice("log", 1000.0), 20, 120.0))
+    '38 min in all'
+    """
     if asked.interval_s is None:
         return "one after the other"
-    return f"{format_short_time((asked.count - 1) * asked.interval_s)} in all"
+    total_s = (asked.count - 1) * asked.interval_s
+    unit_s, unit = next(each for each in _UNITS if total_s >= 2 * each[0] or each[0] == 1)
+    return f"{total_s / unit_s:.3g} {unit} in all"
 
 
 def series(model: Model) -> SeriesChoice:

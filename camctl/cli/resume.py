@@ -98,6 +98,7 @@ def _go_on(
 ) -> None:
     """Continue the series in a folder, and print how it ended."""
     from camctl.records.journal import read_series
+    from camctl.records.report_file import check_same_camera
 
     journal = read_series(directory)
     if journal.is_done():
@@ -110,13 +111,7 @@ def _go_on(
         print_warning("the series was begun with --hook, which is not kept: give it again")
     check_keys(needed=journal.options.on_key)
     with _camera(camera_options, journal.source, directory, SERIES) as camera:
-        begun, present = journal.camera, camera.info
-        if (begun.make, begun.model, begun.serial) != (present.make, present.model, present.serial):
-            raise DataError(
-                f"{directory} was begun with {begun.name} {begun.serial}, and this "
-                f"camera is {present.name} {present.serial}",
-                hint="connect the same camera",
-            )
+        check_same_camera(journal.camera, camera.info, directory)
         run_series(camera, journal, hook, directory, as_json=as_json)
 
 

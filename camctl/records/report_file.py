@@ -19,7 +19,7 @@ from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 from camctl.errors import CamctlError, DataError
 from camctl.exposure.objective import MAX_LEVELS_WANTED
 from camctl.exposure.search.settings import relative_exposures
-from camctl.interface.camera import Camera
+from camctl.interface.camera import Camera, CameraInfo
 from camctl.interface.controls import ExposureSetting
 from camctl.model.effective import WIDEST_RATIO, check_count
 from camctl.pictures.files import PICTURE_FILES
@@ -164,7 +164,18 @@ def check_camera(
     camera: Camera, directory: Path, report: CaptureReport | UnfinishedCapture
 ) -> None:
     """Raise `DataError` unless `camera` can continue the capture in `directory`."""
-    begun, present, controls = report.camera, camera.info, camera.controls
+    check_same_camera(report.camera, camera.info, directory)
+    controls = camera.controls
+    black_total = controls.black * len(report.plan.settings)
+    kept = report.white, report.black_total, report.layout
+    if (controls.white, black_total, controls.layout) != kept:
+        raise DataError(
+            f"{directory} was begun in another format of the camera", hint="set the same format"
+        )
+
+
+def check_same_camera(begun: CameraInfo, present: CameraInfo, directory: Path) -> None:
+    """Raise `DataError` unless what was begun in `directory` was begun with the present camera."""
     if (begun.make, begun.model, begun.serial) != (present.make, present.model, present.serial):
         names = begun.name, present.name
         if begun.name == present.name:
@@ -172,12 +183,6 @@ def check_camera(
         raise DataError(
             f"{directory} was begun with {names[0]}, and this camera is {names[1]}",
             hint="connect the same camera",
-        )
-    black_total = controls.black * len(report.plan.settings)
-    kept = report.white, report.black_total, report.layout
-    if (controls.white, black_total, controls.layout) != kept:
-        raise DataError(
-            f"{directory} was begun in another format of the camera", hint="set the same format"
         )
 
 

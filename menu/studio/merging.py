@@ -126,6 +126,8 @@ def merge(studio: Studio, request: Request) -> Answer:
             files, options = [folder / name for name in names], PhotographOptions(times)
             merge_photographs(files, CaptureRequest(wanted), result, options=options)
         except CamctlError as error:
+            # Without its photographs it cannot be continued, and it may fill the disk.
+            shutil.rmtree(result, ignore_errors=True)
             text = error_text(error).replace(f"{folder}/", "")
             raise RefusedError(HTTPStatus.UNPROCESSABLE_ENTITY, text) from None
         finally:

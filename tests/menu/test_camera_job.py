@@ -338,7 +338,7 @@ def test_series_is_taken_at_its_interval_and_listed_by_its_last_picture(tmp_path
     assert next_folder(tmp_path, datetime(2026, 11, 25)).name.startswith("capture-0002")
 
 
-def test_series_that_is_cancelled_keeps_its_pictures(tmp_path: Path) -> None:
+def test_series_that_is_cancelled_is_continued_from_the_list_of_captures(tmp_path: Path) -> None:
     camera = RecordingCamera()
     job = job_with(camera, tmp_path)
     done: list[int] = []
@@ -347,6 +347,12 @@ def test_series_that_is_cancelled_keeps_its_pictures(tmp_path: Path) -> None:
     (directory,) = tmp_path.glob("series-0001*")
     assert (directory / "set-0001" / "report.json").exists()
     assert not (directory / "set-0003").exists()
+    (past,) = job.captures()
+    assert past == Past(directory.name, is_complete=False)
+    assert job.load().unfinished == 1
+    summary = job.resume(past, lambda _: None, never)
+    assert summary.notes[0] == f"3 of 3 pictures are in {directory}"
+    assert job.captures() == (Past(f"{directory.name}/set-0003", is_complete=True),)
 
 
 def test_series_without_a_picture_is_a_failure(

@@ -21,6 +21,7 @@ from studio_menu import MakeJob, job_with, start_menu
 
 import camctl
 from camctl import CaptureRequest, read_report
+from camctl.errors import StorageError
 from camctl.exposure.light import Metering
 from camctl.interface.camera import Camera
 from camctl.interface.controls import Layout
@@ -276,6 +277,24 @@ def test_what_is_no_photograph_is_said_by_its_name(start: Start, tmp_path: Path)
     assert status == 422
     assert b"hosts.txt" in content
     assert str(tmp_path).encode() not in content
+
+
+def test_merge_that_fails_leaves_no_folder(
+    start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def merge_on_a_full_disk(_: object, __: object, result: Path, **___: object) -> None:
+        (result / "frames").mkdir(parents=True)
+        raise StorageError("cannot write frame-02.npy: the disk is full", hint="free some space")
+
+    monkeypatch.setattr("camctl.photographs.merge.merge", merge_on_a_full_disk)
+    client = start(lambda _: FakeJob())
+    client.until("idle")
+    taken = json.loads(client.ask("merge/begin", {})[1])["set"]
+    asked = {"files": [], "times": "", "response": "log"}
+    status, content = client.ask(f"merge/merge/{taken}", asked)
+    assert status == 422
+    assert b"the disk is full; free some space" in content
+    assert not list(tmp_path.glob("capture-*"))
 
 
 def test_profiles_are_listed_and_drawn(start: Start, own_profiles: Path) -> None:

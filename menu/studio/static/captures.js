@@ -1,11 +1,9 @@
 /* The library, and one capture: picture, layers, light under the pointer, files, findings. */
-import {choose, command, details, get, h, leave, levels, note, percent, post, renew} from "./studio.js";
+import {bytes, choose, command, details, get, h, leave, levels, note, percent, post, renew} from "./studio.js";
 import {buttons, words} from "./screen.js";
 
 let root, shown = "", armed = "", wanted = "";
 const encode = name => name.split("/").map(encodeURIComponent).join("/");
-const bytes = size => size >= 999500 ? (size / 1e6).toPrecision(3) + " MB"
-  : Math.round(size / 1e3) + " kB";
 
 /* Open a capture once the library lists it. */
 export function openCapture(name) {
@@ -22,7 +20,7 @@ function library(state) {
     past.is_complete ? h("img", {alt: "", loading: "lazy",
       src: "captures/small/" + encode(past.name)}) : h("span", {class: "none"}, "unfinished"),
     h("strong", {}, past.name),
-    h("span", {class: "pale"}, past.is_complete ? "complete" : "shoot the missing frames")))),
+    h("span", {class: "pale"}, past.is_complete ? "complete" : "take what is missing")))),
     state.captures.length ? null : h("p", {}, "No captures yet."),
   ];
 }

@@ -1,5 +1,5 @@
 /* The plan, the self-timer, and the progress of a capture. */
-import {choose, details, h, levels, range, time} from "./studio.js";
+import {bytes, choose, details, h, levels, range, time} from "./studio.js";
 import {buttons} from "./screen.js";
 
 let root;
@@ -13,8 +13,7 @@ function planned(plan) {
         : (plan.is_wall_known ? "" : "at least ") + time(plan.wall_s)],
       ["exposed", time(plan.shutter_s)],
       ["range", range(plan.dynamic_range)],
-      ["space", `${(plan.needed_bytes / 1e6).toPrecision(3)} MB of `
-        + `${(plan.free_bytes / 1e9).toPrecision(3)} GB`],
+      ["space", `${bytes(plan.needed_bytes)} of ${bytes(plan.free_bytes)}`],
     ]),
     h("table", {}, h("thead", {}, h("tr", {}, h("th", {}, "frame"), h("th", {}, "setting"),
       h("th", {}, "exposure"))),

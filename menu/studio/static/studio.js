@@ -61,6 +61,8 @@ export const choose = fields => command({seen: studio.state.state, ...fields});
 export const time = seconds => seconds >= 0.9995 ? +seconds.toPrecision(3) + " s"
   : seconds >= 0.0009995 ? +(1e3 * seconds).toPrecision(3) + " ms"
   : +(1e6 * seconds).toPrecision(3) + " µs";
+export const bytes = size => size >= 9.995e8 ? (size / 1e9).toPrecision(3) + " GB"
+  : size >= 999500 ? (size / 1e6).toPrecision(3) + " MB" : Math.round(size / 1e3) + " kB";
 export const percent = share => share > 0 && share < 1e-4 ? "< 0.01 %"
   : +(100 * share).toPrecision(3) + " %";
 export const levels = count => count < 9.95 ? count.toFixed(1) : Math.round(count).toString();
@@ -146,7 +148,7 @@ async function show(state) {
     mode ? `mode dial at ${mode}` : "",
     typeof battery === "number" ? `battery ${battery} %` : "",
     typeof images === "number" ? `${images} pictures on the card` : "",
-    free ? (free / 1e9).toPrecision(3) + " GB free" : "",
+    free ? bytes(free) + " free" : "",
   ].filter(each => each).join(", ");
   const own = sectionOf(state);
   const open = state.sections.find(each => each.name === (studio.section || wanted));
