@@ -28,8 +28,8 @@ from camctl.model.response.camera import FloatArray
 from camctl.model.sensor import CLIPPING_SIGMAS, SensorModel
 from camctl.system.picture_operations import looked_up
 
-#: Fewer common patches do not connect two frames: with 16 a bracket is refused whose ratios 12
-#: give within 0.3 % (`tests/bench/bench_exposure_ratios.py`).
+#: Fewer common patches do not connect two frames: with 16 a simulated bracket was refused whose
+#: ratios 12 give within 0.3 %.
 _LEAST_PATCHES = 12
 #: Largest relative error of a patch from rounding in a curved response.
 _LARGEST_BIAS = 5e-4

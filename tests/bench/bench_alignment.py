@@ -1,4 +1,4 @@
-"""Displaced photographs that are found, against methods that photographers know.
+"""Displaced photographs that are found, against OpenCV's methods.
 
     python tests/bench/bench_alignment.py [SIDE]
 
@@ -84,19 +84,6 @@ def log_light(picture: Picture) -> NDArray[np.float32]:
     return np.log(np.maximum(light, 1e-4)).astype(np.float32)[picture]
 
 
-def phase_correlation(one: Picture, other: Picture) -> Found:
-    """Return the best phase correlation of the gradients of log light, the response applied."""
-    parts: list[NDArray[np.float32]] = []
-    for each in (one, other):
-        light = log_light(each)
-        across, down = (cv2.Sobel(light, cv2.CV_32F, *axes) for axes in ((1, 0), (0, 1)))
-        steep = np.where((each > 6) & (each < 250), np.hypot(across, down), 0)
-        parts.append(steep.astype(np.float32))
-    window = cv2.createHanningWindow(one.shape[::-1], cv2.CV_32F)
-    (columns, rows), _ = cv2.phaseCorrelate(parts[0], parts[1], window)
-    return columns, rows
-
-
 def ecc(one: Picture, other: Picture) -> Found:
     """Return the maximum of the enhanced correlation coefficient of log light, coarse to fine."""
     warp: Any = np.eye(2, 3, dtype=np.float32)
@@ -126,28 +113,10 @@ def ecc(one: Picture, other: Picture) -> Found:
     return float(warp[0, 2]), float(warp[1, 2])
 
 
-def edges(one: Picture, other: Picture) -> Found:
-    """Return the shift at which edge maps agree best, searched from coarse to fine."""
-    maps = [cv2.Canny(cv2.GaussianBlur(each, (0, 0), 1.5), 20, 60) for each in (one, other)]
-    columns = rows = 0
-    for power in range(5, -1, -1):
-        size = one.shape[1] >> power, one.shape[0] >> power
-        a, b = (cv2.resize(each, size, interpolation=cv2.INTER_AREA).astype(float) for each in maps)
-        tries = []
-        for row in range(2 * rows - 2, 2 * rows + 3):
-            for column in range(2 * columns - 2, 2 * columns + 3):
-                moved = np.roll(b, (-row, -column), (0, 1))
-                tries.append((float((a * moved).sum()), column, row))
-        _, columns, rows = max(tries)
-    return columns, rows
-
-
 METHODS: dict[str, Callable[[Picture, Picture], Found]] = {
     "camctl": ours,
     "median bitmaps": median_bitmaps,
-    "phase correlation": phase_correlation,
     "ECC": ecc,
-    "edges": edges,
 }
 
 

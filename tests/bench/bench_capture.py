@@ -1,4 +1,4 @@
-"""The cost of a whole capture: memory, time for its files, frame slots, frames lost in real time.
+"""The cost of a whole capture: memory, time for its files, frames lost in real time.
 
     python tests/bench/bench_capture.py [--megapixels 24]
 
@@ -170,23 +170,6 @@ def resident_mb() -> float:
     return pages * resource.getpagesize() / 2**20
 
 
-def slots() -> None:
-    """Print the time of captures in virtual time, in frame slots."""
-    from camctl.sim.camera import SimulatedCamera
-    from camctl.sim.scenes.scene import load_scene
-    from camctl.sim.sensors.sensor import load_sensor
-
-    scene = load_scene("tile-floor", (60, 80))
-    for delay in range(6):
-        sensor = load_sensor("standard").model_copy(update={"delay_frames": delay})
-        ratios = tuple(1 + 0.1 * k for k in range(6))
-        request = CaptureRequest("linear", 256.0, ratios=ratios, base_s=0.01)
-        with SimulatedCamera(scene, sensor) as camera, tempfile.TemporaryDirectory() as folder:
-            report = capture(camera, request, Path(folder) / "out")
-        used, least = report.timing["shooting_s"] / sensor.frame_interval_s, 6 + delay
-        print(f"slots  delay {delay}: {used:.3f} for n + d = {least}, ratio {used / least:.3f}")
-
-
 def real_time() -> None:
     """Print frames lost at 30 frames a second, 2 megapixels, with everything written to disk."""
     from camctl.sim.camera import SimulatedCamera
@@ -225,7 +208,6 @@ def main() -> None:
     parts = {
         **{f"memory-{kind}": kind for kind in (Layout.MONO, Layout.RGGB, Layout.RGB)},
         **{f"pictures-{kind}": kind for kind in (Layout.MONO, Layout.RGGB, Layout.RGB)},
-        "slots": slots,
         "real": real_time,
     }
     if chosen.only:

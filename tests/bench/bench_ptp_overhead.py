@@ -1,10 +1,11 @@
-"""What a shot costs beside its exposure: `ptpip:` against the gphoto2 command line.
+"""What a shot costs beside its exposure: `ptpip:` and `gphoto2:` against the gphoto2 command line.
 
     python tests/bench/bench_ptp_overhead.py
 
-Both take the same bracket from the same virtual camera in the network, a Nikon that saves JPEGs of
-1 MB, in a process of its own.  gphoto2 gets the whole bracket in one call, and what it takes to
-start and connect is subtracted.  The target: no slower than gphoto2, and more than 1 shot a second.
+All take the same bracket from the same virtual camera in the network, a Nikon that saves JPEGs of
+1 MB, in a process of its own.  The program gphoto2 gets the whole bracket in one call, and what it
+takes to start and connect is subtracted.  The target: no slower than the program, and more than 1
+shot a second.
 """
 
 from __future__ import annotations
@@ -63,11 +64,7 @@ def main() -> int:
 
 
 def _compare(address: str, port: int, folder: Path) -> int:
-    ours: list[float] = []
-    with camctl.open_camera(address, response="linear") as camera:
-        settings = settings_at(camera, *TIMES_S)
-        shoot(camera, settings)
-        ours = [_seconds(lambda: shoot(camera, settings)) for _ in range(ROUNDS)]
+    spent = {backend: _bracket_s(f"{backend}{address}") for backend in ("", "gphoto2:")}
     place = ("--port", f"{address}:{port}", "--force-overwrite", "--filename=%n.jpg")
     steps = [
         word
@@ -78,19 +75,27 @@ def _compare(address: str, port: int, folder: Path) -> int:
     def run(*words: str) -> Callable[[], object]:
         return lambda: gphoto2_client.gphoto2(*place, *words, folder=folder)
 
-    start = [_seconds(run("--get-config", "shutterspeed")) for _ in range(ROUNDS)]
-    theirs = [_seconds(run(*steps)) - statistics.median(start) for _ in range(ROUNDS)]
-    exposed_s, count = sum(TIMES_S), len(TIMES_S)
-    rates = []
+    start_s = statistics.median(
+        _seconds(run("--get-config", "shutterspeed")) for _ in range(ROUNDS)
+    )
+    spent["program"] = [_seconds(run(*steps)) - start_s for _ in range(ROUNDS)]
+    rows = {}
     print("| client | bracket of 5, s | overhead a shot, s | shots a second |")
     print("|---|---|---|---|")
-    for name, seconds in (("camctl ptpip", ours), ("gphoto2", theirs)):
-        median = statistics.median(seconds)
-        rates.append(((median - exposed_s) / count, count / median))
-        print(f"| {name} | {median:.2f} | {rates[-1][0]:.3f} | {rates[-1][1]:.2f} |")
-    ratio = rates[0][0] / rates[1][0]
-    print(f"overhead of camctl / gphoto2: {ratio:.2f}; gphoto2 starts in {min(start):.2f} s")
-    return int(ratio > 1 or rates[0][1] <= 1)
+    for name, label in (("", "ptpip:"), ("gphoto2:", "gphoto2:"), ("program", "gphoto2 program")):
+        median = statistics.median(spent[name])
+        rows[name] = (median - sum(TIMES_S)) / len(TIMES_S), len(TIMES_S) / median
+        print(f"| {label} | {median:.2f} | {rows[name][0]:.3f} | {rows[name][1]:.2f} |")
+    theirs_s, _ = rows.pop("program")
+    return int(any(cost_s > theirs_s or rate <= 1 for cost_s, rate in rows.values()))
+
+
+def _bracket_s(camera_id: str) -> list[float]:
+    """Return the seconds of each bracket, after a first one."""
+    with camctl.open_camera(camera_id, response="linear") as camera:
+        settings = settings_at(camera, *TIMES_S)
+        shoot(camera, settings)
+        return [_seconds(lambda: shoot(camera, settings)) for _ in range(ROUNDS)]
 
 
 def _seconds(act: Callable[[], object]) -> float:

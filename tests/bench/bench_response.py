@@ -1,20 +1,20 @@
-"""The estimated response beside OpenCV's: accuracy, stability, time and memory.
+"""The estimated response beside OpenCV's: accuracy, stability, and on measured curves and frames.
 
     python tests/bench/bench_response.py [--draws 50] [--seed 1000] [--scenes 20] [--only PARTS]
 
-$CAMCTL_DATA holds emor.txt (Grossberg and Nayar's empirical model of response) and memorial/
-(a scene of the part "stability"); without it smooth curves of our own are drawn.
-Errors are root mean squares of brightness (full scale = 1) over brightness from 2 % on, at the best
-scale of irradiance.
+$CAMCTL_DATA holds emor.txt (Grossberg and Nayar's empirical model of response), dorf/curves.npz
+(index, irradiance and brightness of curves of their database) and memorial/ (Debevec and Malik's
+exposure series and their map); without it smooth curves of our own are drawn.
+Errors of "accuracy" are root mean squares of brightness (full scale = 1) over brightness from 2 %
+on, at the best scale of irradiance; those of "memorial" medians of abs(ln(radiance / map)) at the
+best scale of each channel.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import resource
 import sys
-import time
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -26,24 +26,25 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).parent.parent / "helpers"))
 
 from opencv_levels import levels_of, opencv_curves
+from scene_maps import blocks
 
 from camctl.calibration.response.estimate import ResponseEstimate, estimate_response
 from camctl.calibration.response.series import Series
 from camctl.errors import DataError
 from camctl.interface.controls import Layout
+from camctl.messages.plain import sentence
 from camctl.model.quantiles import Z_95
-from camctl.model.response.camera import FloatArray
+from camctl.model.response.camera import FloatArray, srgb_to_linear
 from camctl.model.response.measured import ResponseModel, read_response_model
 from camctl.profiles.response import ChannelResponse
+from camctl.sim.scenes.drawings import DRAWINGS
+from camctl.stills.radiance_map import read_map
 
 STOPS = tuple(2.0 ** np.arange(-1, 6))
+MEASURED_STOPS = tuple(2.0 ** np.arange(-3, 3))
 COARSE = {"steps of 4": (0.5, 2.0, 8.0, 32.0), "steps of 8": (0.5, 4.0, 32.0)}
 Curve = tuple[FloatArray, FloatArray]
-#: Of so many rows and columns one is used (by all but Debevec's method), and the number of pixels
-#: that Debevec's method takes.
-Sampling = tuple[int, int]
-ONE_COUNT: tuple[Sampling, ...] = ((1, 70),)
-THREE_COUNTS: tuple[Sampling, ...] = ((1, 50), (2, 70), (3, 140))
+METHODS = ("camctl", "debevec", "robertson")
 SIGMAS = np.array([1.0, 0.55, 0.35, 0.25, 0.2])  # of the first components, about as in its data
 
 
@@ -60,12 +61,9 @@ def draw(rng: np.random.Generator, model: ResponseModel | None) -> Curve:
             return model.irradiance, B
 
 
-def scene(rng: np.random.Generator, rows: int = 240, columns: int = 320) -> FloatArray:
+def scene(rng: np.random.Generator) -> FloatArray:
     """Return random irradiance over about 3.5 decades; its 99.5 % quantile is 1."""
-    wide, fine = (
-        cv2.GaussianBlur(rng.normal(size=(rows, columns)), (0, 0), sigma)
-        for sigma in (rows / 10, rows / 80)
-    )
+    wide, fine = (cv2.GaussianBlur(rng.normal(size=(240, 320)), (0, 0), sigma) for sigma in (24, 3))
     E = np.exp(2.0 * wide / wide.std() + 0.3 * fine / fine.std())
     return np.asarray(E / np.quantile(E, 0.995))
 
@@ -214,81 +212,46 @@ def unknown_exposures(model: ResponseModel | None, draws: int) -> None:
 
 
 def stability(model: ResponseModel | None, scenes: int, data: Path | None) -> None:
-    pictures = stability_scenes(scenes, data, (240, 320))
+    pictures = stability_scenes(scenes, data)
     print(
         f"spread of one curve over {len(pictures)} scenes ({', '.join(pictures)}): standard "
         "deviation of brightness; refused or NaN",
         flush=True,
     )
     curve = draw(np.random.default_rng(7), model)
-    for count in (3, 4, 5, 8, 12):
-        exposures = tuple(np.geomspace(0.5, 32, count))
-        spread(curve, pictures, exposures, ONE_COUNT, ("debevec", "robertson"))
-    pictures = stability_scenes(scenes, data, (480, 640))
-    print("over scenes of 640 x 480 pixels and three numbers of samples of each", flush=True)
-    for count in (3, 5, 12):
-        exposures = tuple(np.geomspace(0.5, 32, count))
-        spread(curve, pictures, exposures, THREE_COUNTS, ("debevec",))
-
-
-def spread(
-    curve: Curve,
-    pictures: dict[str, FloatArray],
-    exposures: tuple[float, ...],
-    samplings: tuple[Sampling, ...],
-    rivals: tuple[str, ...],
-) -> None:
-    """Print the standard deviation of one curve over scenes and samplings, by method."""
     B = np.linspace(0.05, 0.95, 100)
     E = np.interp(B, curve[1], curve[0])
-    found: dict[str, dict[str, list[FloatArray]]] = {}
-    for seed, (scene_name, picture) in enumerate(pictures.items()):
-        frames = shoot(picture, exposures, curve, 8, np.random.default_rng(seed))
-        for name in ("camctl", *rivals):
-            lines = []
-            for sampling in samplings:
-                levels, brightness = points(name, frames, exposures, sampling)
+    for count in (3, 4, 5, 8, 12):
+        exposures = tuple(np.geomspace(0.5, 32, count))
+        found: dict[str, dict[str, FloatArray]] = {name: {} for name in METHODS}
+        for seed, (scene_name, picture) in enumerate(pictures.items()):
+            frames = shoot(picture, exposures, curve, 8, np.random.default_rng(seed))
+            for name in METHODS:
+                levels, brightness = points(name, frames, exposures)
                 if np.all(np.isfinite(levels)):
                     levels = np.maximum.accumulate(levels)
                     scale = np.interp(0.5, curve[1], curve[0]) / np.interp(0.5, brightness, levels)
-                    lines.append(np.interp(E, levels * scale, brightness))
-            if len(lines) == len(samplings):
-                found.setdefault(name, {})[scene_name] = lines
-    # Only scenes that the methods accept are compared: all of them, and the first two.
-    for compared in dict.fromkeys((rivals, rivals[:1])):
-        common = set.intersection(*(set(found[name]) for name in ("camctl", *compared)))
+                    found[name][scene_name] = np.interp(E, levels * scale, brightness)
+        # Only scenes that all methods accept are compared.
+        common = set.intersection(*map(set, found.values()))
         spreads = {
-            name: float(
-                np.sqrt(np.mean(np.var([c for n in common for c in found[name][n]], axis=0)))
-            )
-            for name in ("camctl", *compared)
+            name: float(np.sqrt(np.mean(np.var([lines[each] for each in common], axis=0))))
+            for name, lines in found.items()
         }
         each = ", ".join(
             f"{name} {value:.4f} ({len(pictures) - len(found[name])} refused)"
             for name, value in spreads.items()
         )
+        ratio = spreads["camctl"] / min(spreads[name] for name in METHODS[1:])
         print(
-            f"  {len(exposures):2d} frames, {len(common)} scenes: {each}; camctl / the better "
-            f"{spreads['camctl'] / min(spreads[name] for name in compared):.2f}",
+            f"  {count:2d} frames, {len(common)} scenes: {each}; camctl / the better {ratio:.2f}",
             flush=True,
         )
-    worst = max(
-        (float(np.sqrt(np.mean((line - B) ** 2))), name)
-        for name, lines in found["camctl"].items()
-        for line in lines
-    )
-    print(f"     largest rms error of camctl: {worst[0]:.4f} in {worst[1]}", flush=True)
 
 
-def stability_scenes(
-    count: int, data: Path | None, shape: tuple[int, int]
-) -> dict[str, FloatArray]:
+def stability_scenes(count: int, data: Path | None) -> dict[str, FloatArray]:
     """Return built-in scenes, the memorial scene, and drawn scenes, (rows, columns)."""
-    from camctl.sim.scenes.drawings import DRAWINGS
-    from camctl.stills.radiance_map import read_map
-
-    rows, columns = shape
-    pictures = {name: np.asarray(draw_(rows, columns)) for name, draw_ in DRAWINGS.items()}
+    pictures = {name: np.asarray(drawn(240, 320)) for name, drawn in DRAWINGS.items()}
     if data is not None:
         pictures["memorial"] = np.asarray(read_map(data / "memorial" / "memorial.hdr")[0])
     grey = {
@@ -297,74 +260,141 @@ def stability_scenes(
     }
     found = {name: each / np.quantile(each, 0.995) for name, each in grey.items()}
     for seed in range(max(0, count - len(found))):
-        found[f"drawn {seed}"] = scene(np.random.default_rng(seed), rows, columns)
+        found[f"drawn {seed}"] = scene(np.random.default_rng(seed))
     return found
 
 
 def points(
-    method: str, frames: list[NDArray[Any]], exposures: tuple[float, ...], sampling: Sampling
+    method: str, frames: list[NDArray[Any]], exposures: tuple[float, ...]
 ) -> tuple[FloatArray, FloatArray]:
     """Return levels, NaN where they were not found, and their brightness."""
-    places = np.arange(1, 256) / 256
-    step, samples = sampling
-    if method == "debevec":
-        calibration = cv2.createCalibrateDebevec(samples=samples)
-        curve = calibration.process(frames, np.array(exposures, np.float32))
-        return levels_of(np.asarray(curve, np.float64).reshape(256, -1)[:, 0]), places
-    frames = [np.ascontiguousarray(frame[::step, ::step]) for frame in frames]
-    if method == "robertson":
-        return levels_of(opencv_curves(frames, exposures, method)[:, 0]), places
+    if method != "camctl":
+        return levels_of(opencv_curves(frames, exposures, method)[:, 0]), np.arange(1, 256) / 256
     try:
         channel = ours(frames, exposures, 8).record.main_channel
     except DataError:
-        return np.full(255, np.nan), places
+        return np.full(255, np.nan), np.arange(1, 256) / 256
     return np.array(channel.irradiance[1:]), np.array(channel.brightness[1:])
 
 
-def large() -> None:
-    rng = np.random.default_rng(0)
-    curve = draw(rng, None)
-    E = scene(rng, 500, 750)
-    exposures = tuple(np.geomspace(0.5, 64, 16))
-    small = [np.stack([frame] * 3, axis=2) for frame in shoot(E, exposures, curve, 8, rng)]
-
-    def picture(frame: NDArray[Any]) -> NDArray[Any]:
-        return np.tile(frame, (8, 8, 1))
-
-    start, memory = time.perf_counter(), peak()
-    series = Series(Layout.RGB, 8, levels_are_stated=True)
-    spent = 0.0
-    for k, frame in enumerate(small):
-        whole = picture(frame)
-        start = time.process_time()
-        series.add(whole, exposures[k], f"frame {k}")
-        spent += time.process_time() - start
-    start = time.process_time()
-    estimate_response(series)
-    spent += time.process_time() - start
+def measured_curves(folder: Path) -> None:
+    """Print errors and intervals of the curves of a database, before a room and before edges."""
+    data = np.load(folder / "curves.npz")
+    curves = list(zip(data["index"].tolist(), data["irradiance"], data["brightness"], strict=True))
+    flatness = [
+        np.log(srgb_to_linear(np.array(0.05))) / np.log(np.interp(0.05, brightness, irradiance))
+        for _, irradiance, brightness in curves
+    ]
+    print("times as flat as sRGB at 5 %, quantiles 0, 5, 10, 50, 90, 95, 100 %:")
+    print(np.quantile(flatness, (0, 0.05, 0.1, 0.5, 0.9, 0.95, 1)).round(2))
+    room = np.asarray(DRAWINGS["room"](240, 320)).mean(axis=2)
+    errors, inside = [], []
+    for name, E in (("room", room), ("blocks", blocks(np.random.default_rng(7)))):
+        E = E / np.quantile(E, 0.98)
+        for index, *curve in curves:
+            frames = shoot(E, MEASURED_STOPS, (curve[0], curve[1]), 8, np.random.default_rng(index))
+            try:
+                channel = ours(frames, MEASURED_STOPS, 8).record.main_channel
+            except DataError as error:
+                print(f"{name}, curve {index}: {error}")
+                continue
+            at = np.linspace(max(0.05, channel.measured[0]), min(0.95, channel.measured[1]), 60)
+            true = np.interp(at, curve[1], curve[0])
+            errors.append(float(np.std(np.log(np.interp(at, *places(channel)) / true))))
+            inside.append(share_inside(channel, (curve[0], curve[1])))
     print(
-        f"24 MP RGB, 16 frames: camctl {spent:.1f} s of CPU, {peak() - memory:.0f} MB more at most "
-        "(one frame of 72 MB in it)",
+        f"{len(errors)} answered, {2 * len(curves) - len(errors)} refused; error of "
+        f"ln(irradiance): median {np.median(errors):.4f}, 90 % {np.quantile(errors, 0.9):.4f}; in "
+        f"the 95 % intervals: {np.mean(inside):.1%} of the levels"
+    )
+
+
+def places(channel: ChannelResponse) -> tuple[FloatArray, FloatArray]:
+    return np.array(channel.brightness), np.array(channel.irradiance)
+
+
+def memorial(folder: Path) -> None:
+    rows = [line.split() for line in (folder / "image_list.txt").read_text().splitlines()]
+    listed = [(row[0], 1 / float(row[2])) for row in rows if row and row[0].endswith(".png")]
+    frames = []
+    for name, _ in listed:
+        frame = cv2.imread(str(folder / name))
+        assert frame is not None, name
+        frames.append(frame[..., ::-1])
+    exposures = tuple(time_s for _, time_s in listed)
+    truth = np.asarray(read_map(folder / "memorial.hdr")[0], np.float64)
+    valid = np.ones(truth.shape[:2], bool)
+    for frame in frames:
+        valid &= ~((frame[..., 2] == 255) & (frame[..., 0] == 0) & (frame[..., 1] == 0))
+    good_rows = np.flatnonzero(valid.mean(axis=1) > 0.85)
+    good_columns = np.flatnonzero(valid.mean(axis=0) > 0.85)
+    part = np.ix_(
+        np.arange(good_rows[0], good_rows[-1] + 1), np.arange(good_columns[0], good_columns[-1] + 1)
+    )
+    print(
+        f"memorial: {len(frames)} frames, {valid[part].mean():.1%} of the part used is valid",
         flush=True,
     )
-    frames = [picture(frame) for frame in small]
-    memory_with_frames = peak()
-    start = time.process_time()
-    opencv_curves(frames, exposures, "debevec")
+    parts = [np.ascontiguousarray(frame[part]) for frame in frames]
+    series = Series(Layout.RGB, 8)
+    for (name, time_s), frame in zip(listed, parts, strict=True):
+        series.add(frame, time_s, name)
+    estimate = estimate_response(series)
+    print("  " + "; ".join(map(sentence, estimate.findings)), flush=True)
+    ours_ = []
+    for channel in estimate.record.channels:
+        levels = channel_levels(channel)
+        below = np.full(channel.black + 1, levels[0] / 2)
+        ours_.append(np.concatenate([below, levels_of(levels), levels[-1:]]))
+    well = np.any([np.all((frame > 20) & (frame < 235), axis=2) for frame in parts], axis=0)
+    usable = valid[part] & well & np.all(truth[part] > 0, axis=2)
+    curves = {"camctl": np.stack(ours_, axis=1)} | {
+        name: opencv_curves(parts, exposures, name) for name in ("debevec", "robertson")
+    }
+    places = np.arange(256.0)
+    hat = np.minimum(places + 1, 256 - places)
+    own = np.stack([each.sample_weights() for each in estimate.record.channels], axis=1)
+    exposed = np.maximum(np.minimum(places - 20, 235 - places), 0)
+    for weights, used in (
+        (np.pad(own, ((0, 256 - len(own)), (0, 0))), "the weights of the record of camctl"),
+        (np.stack([exposed] * 3, axis=1), "samples of 20 to 235"),
+        (np.stack([hat] * 3, axis=1), "OpenCV's weights, black ones, too"),
+    ):
+        for name, curve in curves.items():
+            found = []
+            for colour in range(3):
+                log_E = np.log(np.maximum(curve[:, colour], 1e-12))
+                samples = np.array([frame[..., colour][usable] for frame in parts])
+                weight = np.maximum(weights[samples, colour], 1e-12)
+                light = (weight * (log_E[samples] - np.log(exposures)[:, None])).sum(axis=0)
+                found.append(light / weight.sum(axis=0))
+            print(f"  {used:34s} {name:10s} {compared(found, truth[part][usable])}", flush=True)
+    merged = cv2.createMergeDebevec().process(
+        parts, np.array(exposures, np.float32), curves["debevec"][:, None].astype(np.float32)
+    )
+    found = list(np.log(np.maximum(merged[usable], 1e-12)).T)
     print(
-        f"  OpenCV debevec {time.process_time() - start:.1f} s of CPU, "
-        f"{peak() - memory:.0f} MB more ({memory_with_frames - memory:.0f} MB of frames)",
+        f"  {'merged by OpenCV':34s} {'debevec':10s} {compared(found, truth[part][usable])}",
         flush=True,
     )
-    quarter = [frame[:1000, :1500] for frame in frames]
-    start = time.process_time()
-    opencv_curves(quarter, exposures, "robertson")
-    spent = time.process_time() - start
-    print(f"  OpenCV robertson on a sixteenth of each frame {spent:.1f} s of CPU", flush=True)
 
 
-def peak() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+def compared(found: list[FloatArray], truth: FloatArray) -> str:
+    """Return errors of ln(radiance) and the exponents of the radiance, R, G, B."""
+    errors, exponents = [], []
+    for logs, true in zip(found, np.log(truth).T, strict=True):
+        difference = logs - true
+        errors.append(f"{np.median(np.abs(difference - np.median(difference))):.4f}")
+        exponents.append(f"{np.polyfit(true, logs, 1)[0]:.3f}")
+    return f"median |ln error| {', '.join(errors)}; exponent {', '.join(exponents)}"
+
+
+def channel_levels(channel: ChannelResponse) -> FloatArray:
+    """Return the levels of a channel without a black level's phase."""
+    count = channel.white - channel.black
+    phase = 0.5 if channel.black else 0.0
+    places = (np.arange(1, count + 1) - phase) / (count + 1)
+    return np.asarray(np.interp(places, channel.brightness, channel.irradiance))
 
 
 def main() -> None:
@@ -372,19 +402,21 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1000, help="of the first draw")
     parser.add_argument("--scenes", type=int, default=20)
-    parser.add_argument("--only", default="accuracy,unknown,stability,large")
+    parser.add_argument("--only", default="accuracy,unknown,stability,curves,memorial")
     options = parser.parse_args()
     only = options.only.split(",")
     data = Path(os.environ["CAMCTL_DATA"]) if "CAMCTL_DATA" in os.environ else None
     model = None if data is None else read_response_model(data / "emor.txt")
-    if "large" in only:  # first, since the peak of memory never falls
-        large()
     if "accuracy" in only:
         accuracy(model, options.draws, options.seed)
     if "unknown" in only:
         unknown_exposures(model, options.draws)
     if "stability" in only:
         stability(model, options.scenes, data)
+    if "curves" in only and data is not None:
+        measured_curves(data / "dorf")
+    if "memorial" in only and data is not None:
+        memorial(data / "memorial")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
-"""Time saved by leaving effects out: for each scene and size, and as a curve over the tolerance.
+"""Time saved by leaving effects out, for each scene and size.
 
-Run by hand: ``python tests/bench/bench_sensor_budget.py [--json]``.  Frames with every effect and
+Run by hand: ``python tests/bench/bench_sensor_budget.py``; `camctl tradeoff simulation` shows it
+over the tolerance.  Frames with every effect and
 frames with those that the tolerance requires take turns, with the same things kept between frames;
 the times of the latter include planning.  "At most" is a frame without any of the effects that the
 tolerance allows to leave out alone: no choice among them, which all change too much together in
@@ -11,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
 import random
 import statistics
 import time
@@ -42,7 +42,6 @@ SCENES = (
     "tile-floor",
     "uniform",
 )
-TOLERANCES = (0.0, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 
 
 def exposures(renderer: Renderer) -> dict[str, Shot]:
@@ -164,74 +163,26 @@ def print_scenes(rows: list[dict[str, Any]]) -> None:
         print(f"| **geometric mean** | {exposure} | {whole:.2f} | {means} | | |")
 
 
-def curve(
-    shape: tuple[int, int], rounds: int, scene: str, *, compiled: bool
-) -> list[dict[str, Any]]:
-    """Return a row for each tolerance: milliseconds, bound, and the measured difference."""
-    sensor = load_sensor("complete")
-    view = View.of(load_scene(scene, shape), sensor)
-    renderer = Renderer(view, sensor, threads=1, compiled=compiled)
-    rows = []
-    for exposure, shot in exposures(renderer).items():
-        plans = {tolerance: plan_frame(shot, tolerance) for tolerance in TOLERANCES}
-        works: dict[Any, Callable[[], object]] = {
-            tolerance: partial(renderer.expose, shot, plan) for tolerance, plan in plans.items()
-        }
-        taken = usual_seconds(works, rounds)
-        everything = renderer.brightness(shot, plans[0.0])
-        levels = renderer.expose(shot, plans[0.0]).astype(int)
-        for tolerance, plan in plans.items():
-            off = np.abs(renderer.brightness(shot, plan) - everything).max()
-            after = np.abs(renderer.expose(shot, plan).astype(int) - levels).max()
-            rows.append(
-                {
-                    "scene": scene,
-                    "exposure": exposure,
-                    "tolerance_dn": tolerance,
-                    "ms": taken[tolerance] * 1e3,
-                    "joint_bound_dn": plan.joint_bound_dn,
-                    "measured_dn": float(off),
-                    "measured_levels": int(after),
-                    "effects_left_out": len(plan.left_out),
-                }
-            )
-    return rows
-
-
 def main() -> None:
-    """Print both tables."""
+    """Print the table of each size."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", action="store_true")
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--sizes", nargs="+", default=["160x120", "320x240", "1280x960"])
     parser.add_argument("--tolerance", type=float, default=0.5)
-    parser.add_argument("--scene", default="tile-floor", help="of the curve")
     parser.add_argument("--compiled", action="store_true", help="with the extra `fast`")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)  # its other threads wait in loops, which would count for the next frame
     share_free_memory()  # as a capture does: else memory is returned between frames, or not
-    compiled, found = arguments.compiled, {}
     for size in arguments.sizes:
         width, height = (int(part) for part in size.split("x"))
         rounds = max(arguments.rounds, round(arguments.rounds * 1280 * 960 / width / height / 4))
-        found[size] = per_scene((height, width), rounds, arguments.tolerance, compiled=compiled)
-    tolerances = curve((height, width), arguments.rounds, arguments.scene, compiled=compiled)
-    if arguments.json:
-        print(json.dumps({"scenes": found, "curve": tolerances}))
-        return
-    for size, scenes in found.items():
+        scenes = per_scene(
+            (height, width), rounds, arguments.tolerance, compiled=arguments.compiled
+        )
         print(f"{size}, sensor complete, 1 thread, tolerance {arguments.tolerance:g} DN")
         print_scenes(scenes)
         kept = max(row["cached_bytes"] for row in scenes) / 1e6
         print(f"kept between frames: {kept:.0f} MB at most\n")
-    print(f"{arguments.scene}: fidelity against time")
-    print("exposure  tolerance      time   bound  measured  levels  left out")
-    for row in tolerances:
-        print(
-            f"{row['exposure']:8} {row['tolerance_dn']:7.2f} DN {row['ms']:6.1f} ms"
-            f" {row['joint_bound_dn']:7.3f} {row['measured_dn']:9.3f} {row['measured_levels']:7}"
-            f" {row['effects_left_out']:9}"
-        )
 
 
 if __name__ == "__main__":

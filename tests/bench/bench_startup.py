@@ -2,7 +2,8 @@
 
     python tests/bench/bench_startup.py
 
-Medians of interleaved runs, after one run of each that fills the disk cache.
+Medians of interleaved runs, after one run of each that fills the disk cache.  Then the time of
+`camctl.list_backends` in one process, as the menu calls it.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import statistics
 import subprocess
 import sys
 import time
+
+from camctl.interface.backends import list_backends
 
 RUNS = 15
 LIMIT = 5.0
@@ -45,6 +48,10 @@ def main() -> int:
     for name, median in medians.items():
         print(f"{name:20} {median * 1e3:6.0f} ms  {ratios[name]:5.2f} x")
     print(f"limit for --help: {LIMIT:g} x")
+    for call in ("first, with imports", "second"):
+        began = time.perf_counter()
+        list_backends()
+        print(f"list of cameras, {call}: {time.perf_counter() - began:.3f} s")
     return int(ratios["camctl --help"] > LIMIT)
 
 

@@ -17,7 +17,6 @@ from __future__ import annotations
 import argparse
 import os
 import re
-import shlex
 import shutil
 import subprocess
 import sys
@@ -35,8 +34,7 @@ HERE = Path(__file__).resolve().parent
 REPOSITORY = HERE.parents[1]
 PACKAGES = ("camctl", "drivers", "menu", "sim")
 HELPERS = REPOSITORY / "tests" / "helpers"
-BENCH = REPOSITORY / "tests" / "bench"
-BENCHES = ("bench_discovery.py", "bench_v4l2.py", "bench_v4l2_cpu.py", "bench_ptp.py")
+BENCH = REPOSITORY / "tests" / "bench" / "bench_in_guest.py"
 DISPLAYS = {"display": "display_in_guest.py", "panels": "panels_in_guest.py"}
 BACKENDS = ("v4l2", "ptp", "coolpix", "gphoto2")
 # Limits that only catch what hangs: of a guest in the host's time, of a test in the guest's.
@@ -83,8 +81,8 @@ def main() -> int:
             print(f"without a module: {error}")
     _compile()
     if arguments.command or arguments.bench:
-        guest = Guest("guest", kernel, arguments.limit, began)
-        return guest.run(arguments.command or _benches(), lambda text: print(text, flush=True))
+        guest, bench = Guest("guest", kernel, arguments.limit, began), [sys.executable, str(BENCH)]
+        return guest.run(arguments.command or bench, lambda text: print(text, flush=True))
     if arguments.guest:
         return _display(Guest(arguments.guest, kernel, arguments.limit, began), arguments.keep)
     guest = Guest("tests", kernel, arguments.limit, began)
@@ -211,7 +209,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--guest", choices=DISPLAYS, help="only this guest, with its own test")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the display's pictures")
     parser.add_argument("--proofs", action="store_true", help="with the tests marked proof")
-    parser.add_argument("--bench", action="store_true", help="run the benchmarks instead")
+    parser.add_argument("--bench", action="store_true", help="run the benchmark instead")
     parser.add_argument("--must-run", action="store_true", help=f"status {SKIPPED} when skipped")
     parser.add_argument("--limit", type=float, default=LIMIT_S, metavar="SECONDS", help="at most")
     parser.add_argument(
@@ -235,13 +233,6 @@ def _compile() -> None:
             check=False,
             stdout=subprocess.DEVNULL,
         )
-
-
-def _benches() -> list[str]:
-    """Return a command that runs all benchmarks."""
-    scripts = [shlex.join([sys.executable, str(BENCH / name)]) for name in BENCHES]
-    each = "; ".join(f"{script} || status=1" for script in scripts)
-    return ["sh", "-c", f"status=0; {each}; exit $status"]
 
 
 def _tests(arguments: argparse.Namespace) -> list[str]:

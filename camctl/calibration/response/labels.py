@@ -32,7 +32,7 @@ _OTHERS = 0.15
 #: of their variance, in so many frames or more.
 _SMOOTH, _LEAST_SMOOTH = 0.85, 5
 #: Flatness of responses: the exponent that makes them as steep as sRGB at 5 % of full scale.  Of 96
-#: measured ones (tests/bench/bench_response_curves.py) a tenth is beyond the first numbers, which
+#: measured ones (tests/bench/bench_response.py) a tenth is beyond the first numbers, which
 #: is worth a word; all have 0.65 to 4.03: beyond the second is no camera's.
 _USUAL, _POSSIBLE = (0.8, 2.2), (0.5, 5.0)
 #: Degrees of freedom that three frames count as: they have one, which would refuse nearly all.
