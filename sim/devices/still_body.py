@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from camctl.sim.devices.clock import DeviceClock, ScheduledCall
 from camctl.sim.devices.common import VirtualSensor
-from camctl.sim.devices.still_files import SUFFIXES, RawImage, encode, thumbnail
+from camctl.sim.devices.still_files import SUFFIXES, RawImage, encode
 
 CARD_BYTES = 256 * 1024 * 1024  # 256 MB, a usual size of CompactFlash cards
 BULB_MAX_S = 120.0  # a bulb exposure that no host ends stops by itself
@@ -27,7 +27,6 @@ class ImageFile:
         format: jpeg, tiff or dng
         name: on the card
         data: the file's bytes
-        thumbnail: a small JPEG
         rows, columns: of the picture
         bits: per pixel
     """
@@ -35,7 +34,6 @@ class ImageFile:
     format: str
     name: str
     data: bytes
-    thumbnail: bytes
     rows: int
     columns: int
     bits: int
@@ -274,7 +272,6 @@ class StillBody:
             exposure.f_number,
             options.model,
         )
-        small = thumbnail(image)
         rows, columns = pixels.shape[:2]
         bits = image.bits * (3 if pixels.ndim == 3 else 1)
         files = []
@@ -282,7 +279,7 @@ class StillBody:
             data = encode(form, image, grey=options.grey, quality=exposure.quality)
             data += bytes(max(0, options.object_bytes - len(data)))
             name = f"{options.stem}{self.taken:04d}.{SUFFIXES[form]}"
-            files.append(ImageFile(form, name, data, small, rows, columns, bits))
+            files.append(ImageFile(form, name, data, rows, columns, bits))
         return files
 
 

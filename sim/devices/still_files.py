@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from camctl.errors import UsageError, unknown_name
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import Layout
-from camctl.system.picture_operations import reduced_by_area, required_opencv
+from camctl.system.picture_operations import required_opencv
 
 MAKE = "camctl"
 MODEL = "virtual still camera"
@@ -71,14 +71,6 @@ def encode(form: str, image: RawImage, *, grey: bool = True, quality: int = 95) 
     if form not in _ENCODERS:
         raise unknown_name("file format", form, _ENCODERS)
     return _ENCODERS[form](image, grey, quality)
-
-
-def thumbnail(image: RawImage) -> bytes:
-    """Return a small JPEG, at most 120 rows high."""
-    picture = _eight_bits(_developed(image, grey=False), image.bits)
-    scale = min(1.0, 120 / picture.shape[0])
-    size = (max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale)))
-    return _cv2_jpeg(reduced_by_area(picture, size), 80)
 
 
 def _jpeg(image: RawImage, grey: bool, quality: int) -> bytes:

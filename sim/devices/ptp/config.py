@@ -60,7 +60,6 @@ class PtpConfig(DeviceConfig):
         noise_reduction: a dark exposure of the same time follows each exposure
         overlap: during an exposure files can be read and properties set; else the camera is busy
         object_bytes: files shorter than this are padded
-        card_bytes: capacity of the card
         quality: of JPEGs
         zlp: "always": a transfer of whole packets ends with an empty packet; "never": it does not
         split_header: the header of a data phase is sent as a transfer of its own
@@ -103,7 +102,6 @@ class PtpConfig(DeviceConfig):
     noise_reduction: bool = False
     overlap: bool = True
     object_bytes: int = Field(default=0, ge=0, le=CARD_BYTES)
-    card_bytes: int = Field(default=CARD_BYTES, ge=0, le=2**40)
     quality: int = Field(default=95, ge=1, le=100)
     zlp: Literal["always", "never"] = "always"
     split_header: bool = False
@@ -233,12 +231,6 @@ class WireFaultCommands(Controllable):
 
     def do_unplug(self, after_bytes: int | None = None) -> None:
         """Unplug the camera; with `after_bytes`, once so much of the next object has been sent."""
+        self.faults.unplug_after = after_bytes
         if after_bytes is None:
             self.detach()
-        elif after_bytes < 0:
-            raise UsageError(
-                f"invalid after_bytes {after_bytes}: expected 0 or more",
-                hint="leave it out to unplug the camera now",
-            )
-        else:
-            self.faults.unplug_after = after_bytes

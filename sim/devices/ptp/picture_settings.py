@@ -151,13 +151,7 @@ class PictureSettings:
         value = self.properties.number(Property.COMPRESSION)
         return next(file_formats(c) for c in self.config.files if self.compressions[c] == value)
 
-    def formats_of_object(self, number: int) -> tuple[str, ...]:
-        """Return the formats of the camera that have an object format's number."""
-        return tuple(form for form in self._all_formats() if self.object_formats[form] == number)
-
     def listed_formats(self) -> list[int]:
         """Return the object formats in the device info."""
-        return sorted(self.object_formats[form] for form in self._all_formats())
-
-    def _all_formats(self) -> set[str]:
-        return {form for each in self.config.files for form in file_formats(each)}
+        forms = {form for each in self.config.files for form in file_formats(each)}
+        return sorted(self.object_formats[form] for form in forms)

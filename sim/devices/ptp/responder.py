@@ -80,7 +80,6 @@ class Responder(PictureSettings):
         self.facts = config.facts
         recorded = self.facts.access if self.facts is not None else None
         self.card = Card(
-            config.card_bytes,
             body.note_download,
             formats=self.object_formats,
             access=config.access if recorded is None else recorded,
@@ -152,12 +151,10 @@ class Responder(PictureSettings):
             Operation.RESET_DEVICE: self._close_session,
             Operation.GET_STORAGE_IDS: when_ready(card.get_storage_ids),
             Operation.GET_STORAGE_INFO: when_ready(card.get_storage_info),
-            Operation.GET_NUM_OBJECTS: when_ready(card.get_number),
             Operation.GET_OBJECT_HANDLES: when_ready(card.get_handles),
             Operation.GET_OBJECT_INFO: when_ready(card.get_info),
             Operation.GET_OBJECT: when_ready(card.get_object),
             Operation.GET_PARTIAL_OBJECT: when_ready(card.get_part),
-            Operation.GET_THUMB: when_ready(card.get_thumb),
             Operation.DELETE_OBJECT: when_ready(card.delete),
             Operation.INITIATE_CAPTURE: self._initiate_capture,
             Operation.GET_PROPERTY_DESCRIPTION: self.properties.get_description,
@@ -239,18 +236,16 @@ class Responder(PictureSettings):
         self,
         *,
         is_bulb: bool = False,
-        formats: tuple[str, ...] = (),
         store: Callable[[Sequence[ImageFile]], None] | None = None,
     ) -> Reply | None:
         """Take a picture with the settings in force.
 
         Args:
             is_bulb: until the host ends it
-            formats: of the files; none: by the compression setting
             store: called with the files; `self.store` if not given
         """
         body, faults = self.body, self.body.faults
-        formats = formats or self.selected_formats()
+        formats = self.selected_formats()
         if body.is_exposing:
             return Reply(Response.DEVICE_BUSY)
         if faults.state:
@@ -326,13 +321,9 @@ class Responder(PictureSettings):
         # Real cameras fail in various ways without both parameters; this one reports an error.
         if len(parameters) < 2:
             return Reply(Response.INVALID_PARAMETER)
-        storage, form = parameters[:2]
-        if storage not in (0, STORE):
+        if parameters[0] not in (0, STORE):
             return Reply(Response.INVALID_STORAGE)
-        if not form:
-            return self.release()
-        formats = self.formats_of_object(form)
-        return self.release(formats=formats) if formats else Reply(Response.INVALID_FORMAT)
+        return self.release()
 
     def _initiate_open_capture(self, parameters: Sequence[int], data: bytes) -> Reply | None:
         if len(parameters) < 2:

@@ -9,7 +9,7 @@ from functools import partial
 from itertools import count
 
 from camctl.sim.devices.ptp.protocol import Format, Reply, Response, Type, pack_list, pack_text
-from camctl.sim.devices.still_body import ImageFile
+from camctl.sim.devices.still_body import CARD_BYTES, ImageFile
 
 STORE = 0x0001_0001  # its id
 ROOT_FOLDER, PICTURE_FOLDER = 0x1000_0001, 0x1000_0002  # handles
@@ -18,7 +18,6 @@ READ_ONLY = 1  # access to the card
 _FREE_IMAGES = 999  # in the storage info; not computed
 _FIRST_PICTURE = 0x2000_0001  # handle
 FORMATS: Mapping[str, int] = {"jpeg": Format.JPEG, "tiff": Format.TIFF, "dng": Format.DNG}
-_JFIF = 0x3808  # format of thumbnails
 _DATE = "20240101T120000"  # of all files
 
 
@@ -32,7 +31,6 @@ class StoredObject:
         data: of a file
         parent: handle of its folder; 0 in the root
         rows, columns, bits: of the picture in it; bits per pixel
-        thumbnail: a small JPEG, or empty
     """
 
     name: str
@@ -42,13 +40,11 @@ class StoredObject:
     rows: int = 0
     columns: int = 0
     bits: int = 0
-    thumbnail: bytes = b""
 
     def info(self, storage: int) -> bytes:
-        thumb_format = _JFIF if self.thumbnail else 0
         return (
             struct.pack("<IHHI", storage, self.format, 0, len(self.data))
-            + struct.pack("<HIII", thumb_format, len(self.thumbnail), 0, 0)
+            + bytes(14)  # there is no thumbnail
             + struct.pack(
                 "<IIIIHII",
                 self.columns,
@@ -70,7 +66,6 @@ class Card:
     """The stored objects, and the operations that read and delete them.
 
     Args:
-        capacity: bytes
         formats: number of the object format of each file format
         access: see `camctl.sim.devices.ptp.config.PtpConfig`
         reuses: new pictures take the lowest free number and handle
@@ -83,14 +78,12 @@ class Card:
 
     def __init__(
         self,
-        capacity: int,
         fetched: Callable[[str], None],
         *,
         formats: Mapping[str, int] = FORMATS,
         access: int = 0,
         reuses: bool = False,
     ) -> None:
-        self.capacity = capacity
         self._access, self._reuses = access, reuses
         self._fetched, self._formats = fetched, formats
         self.objects = {
@@ -102,7 +95,7 @@ class Card:
 
     @property
     def free_bytes(self) -> int:
-        return max(0, self.capacity - sum(len(item.data) for item in self.objects.values()))
+        return max(0, CARD_BYTES - sum(len(item.data) for item in self.objects.values()))
 
     @property
     def count(self) -> int:
@@ -134,7 +127,6 @@ class Card:
             file.rows,
             file.columns,
             file.bits,
-            file.thumbnail,
         )
 
     def find(self, handle: int) -> StoredObject | None:
@@ -145,7 +137,7 @@ class Card:
         """Return the storage info dataset: a removable card with folders."""
         removable_ram, hierarchical = 4, 2
         kinds = struct.pack("<HHH", removable_ram, hierarchical, self._access)
-        sizes = struct.pack("<QQI", self.capacity, self.free_bytes, _FREE_IMAGES)
+        sizes = struct.pack("<QQI", CARD_BYTES, self.free_bytes, _FREE_IMAGES)
         return kinds + sizes + pack_text("card") + pack_text("VIRT")
 
     def get_storage_ids(self, parameters: Sequence[int], data: bytes) -> Reply:
@@ -157,11 +149,6 @@ class Card:
         if tuple(parameters[:1]) != (STORE,):
             return Reply(Response.INVALID_STORAGE)
         return Reply(data=self.packed())
-
-    def get_number(self, parameters: Sequence[int], data: bytes) -> Reply:
-        """GetNumObjects (storage, format, folder); the number is the response's parameter."""
-        listed = self._listed(parameters)
-        return Reply(listed) if isinstance(listed, Response) else Reply(parameters=(len(listed),))
 
     def get_handles(self, parameters: Sequence[int], data: bytes) -> Reply:
         """GetObjectHandles (storage, format, folder)."""
@@ -194,22 +181,11 @@ class Card:
         sent = partial(self._fetched, item.name) if is_end else None
         return Reply(data=part, parameters=() if is_whole else (len(part),), sent=sent)
 
-    def get_thumb(self, parameters: Sequence[int], data: bytes) -> Reply:
-        """GetThumb (handle)."""
-        item = self.find(parameters[0]) if parameters else None
-        if item is None:
-            return Reply(Response.INVALID_HANDLE)
-        return Reply(data=item.thumbnail) if item.thumbnail else Reply(Response.NO_THUMBNAIL)
-
     def delete(self, parameters: Sequence[int], data: bytes) -> Reply:
-        """DeleteObject (handle, format); handle FFFFFFFF: all pictures."""
+        """DeleteObject (handle, format)."""
         if not parameters:
             return Reply(Response.INVALID_HANDLE)
         handle = parameters[0]
-        if handle == ALL:
-            for each in [h for h, item in self.objects.items() if item.format != Format.FOLDER]:
-                del self.objects[each]
-            return Reply()
         if self.memory.pop(handle, None) is not None:
             return Reply()
         if handle in (ROOT_FOLDER, PICTURE_FOLDER):

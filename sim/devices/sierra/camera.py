@@ -21,7 +21,7 @@ from camctl.sim.devices.sierra.config import (
     Register,
     SierraConfig,
 )
-from camctl.sim.devices.still_body import Exposure, ImageFile, StillBody
+from camctl.sim.devices.still_body import CARD_BYTES, Exposure, ImageFile, StillBody
 
 _TEXTS = {
     Register.CAMERA_ID: "E990V1.1",
@@ -74,7 +74,6 @@ class SierraCamera:
             Register.TAKEN: lambda: self._opened_count,
             Register.LEFT: lambda: self._free_bytes // self.body.largest_file,
             Register.SIZE: lambda: len(self._selected_picture().data),
-            Register.THUMBNAIL_SIZE: lambda: len(self._selected_picture().thumbnail),
             Register.BATTERY: lambda: LOW_CHARGE if self.body.faults.is_battery_low else CHARGE,
             Register.MEMORY_LEFT: lambda: self._free_bytes,
             Register.LOCKED: lambda: 0,
@@ -120,8 +119,6 @@ class SierraCamera:
         if number == Register.IMAGE:
             self.downloading = self._selected_picture()
             return self.downloading.data
-        if number == Register.THUMBNAIL:
-            return self._selected_picture().thumbnail
         if number == Register.PICTURE_INFO:
             return self._info(self._selected_picture())
         # Names end with a NUL, which libgphoto2 requires.
@@ -191,7 +188,7 @@ class SierraCamera:
     def _free_bytes(self) -> int:
         if self.body.faults.is_card_full:
             return 0
-        return max(0, self._config.card_bytes - sum(len(file.data) for file in self.pictures))
+        return max(0, CARD_BYTES - sum(len(file.data) for file in self.pictures))
 
     def _set_shutter(self, value: int) -> None:
         """Set the nearest shutter time that the camera has; the register then holds it."""
@@ -227,8 +224,8 @@ class SierraCamera:
 
     def _info(self, picture: ImageFile) -> bytes:
         """Return sizes of file, thumbnail and sound, quality, lock, date, and two zeros."""
-        sizes = (len(picture.data), len(picture.thumbnail), 0)
-        return struct.pack("<8I", *sizes, QUALITY_OF[picture.format], 0, STORED[2], 0, 0)
+        quality = QUALITY_OF[picture.format]
+        return struct.pack("<8I", len(picture.data), 0, 0, quality, 0, STORED[2], 0, 0)
 
     def _name(self, number: int) -> str:
         if number == Register.FILE_NAME:

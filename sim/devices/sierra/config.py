@@ -15,7 +15,6 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field
 
 from camctl.sim.devices.common import Controllable, DeviceConfig, as_tuple
-from camctl.sim.devices.still_body import CARD_BYTES
 
 
 class Register(IntEnum):
@@ -28,9 +27,7 @@ class Register(IntEnum):
     TAKEN = 10
     LEFT = 11
     SIZE = 12
-    THUMBNAIL_SIZE = 13
     IMAGE = 14
-    THUMBNAIL = 15
     BATTERY = 16
     SPEED = 17
     CAMERA_ID = 22
@@ -113,7 +110,6 @@ class SierraConfig(DeviceConfig):
         speed_limit: highest speed that it accepts, bits per second
         is_paced: bytes take as long as on a real line
         silence_s: after so long without a byte the session ends and the speed is 19,200 again
-        card_bytes: capacity of the card
         folder_pictures: most pictures in a folder; the next one is put into another folder, where
             numbers begin with 1 again, and which the host has not opened; 0: there is no limit
     """
@@ -131,7 +127,6 @@ class SierraConfig(DeviceConfig):
     speed_limit: int = 115200
     is_paced: bool = False
     silence_s: float = Field(default=5.0, gt=0)
-    card_bytes: int = Field(default=CARD_BYTES, ge=0, le=0x7FFF_FFFF)
     folder_pictures: int = Field(default=0, ge=0)
 
 

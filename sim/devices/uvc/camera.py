@@ -244,10 +244,6 @@ class UvcCamera(UsbDevice):
         """Silently send no more frames."""
         self._is_frozen = True
 
-    def do_thaw(self) -> None:
-        """Send frames again."""
-        self._is_frozen = False
-
     def do_hang(self) -> None:
         """Do not reply to control requests."""
         self._is_hanging = True

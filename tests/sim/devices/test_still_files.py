@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from camctl.errors import UsageError
 from camctl.interface.camera import Pixels
 from camctl.interface.controls import Layout
-from camctl.sim.devices.still_files import RawImage, encode, thumbnail
+from camctl.sim.devices.still_files import RawImage, encode
 
 MOSAICS = [layout for layout in Layout if layout.is_mosaic]
 
@@ -148,11 +148,6 @@ def test_a_jpeg_states_its_exposure_time(time_s: float) -> None:
     place = int.from_bytes(tiff[entry + 10 : entry + 14], "little")
     above, below = (int.from_bytes(tiff[place + i : place + i + 4], "little") for i in (0, 4))
     assert above / below == pytest.approx(time_s, rel=1e-3)
-
-
-def test_a_thumbnail_is_120_rows_high() -> None:
-    picture = decode_jpeg(thumbnail(raw_image(shape=(480, 640))), cv2.IMREAD_COLOR)
-    assert picture.shape == (120, 160, 3)
 
 
 def test_an_unknown_file_format_is_refused() -> None:

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import errno
-import io
 import struct
-import threading
 from typing import Any
 
-import numpy as np
 import pytest
-import tifffile
 from hypothesis import given
 from hypothesis import strategies as st
-from ptp_initiator import BUSY, OK, Initiator, connected, make_camera, numbers
+from ptp_initiator import OK, Initiator, connected, make_camera, numbers
 from sampling import some
 
-from camctl.errors import UsageError
-from camctl.sim.devices.clock import RealDeviceClock
 from camctl.sim.devices.usb.device import Port, UsbDevice
 
 NO_SESSION = 0x2003
@@ -36,26 +30,6 @@ class Socket(Port):
         self.device.disconnect()
 
 
-def test_busy_for_some_operations_or_until_ok() -> None:
-    device, host = connected()
-    device.do("busy", count=2)
-    assert [host.response(0x1004) for _ in range(3)] == [BUSY, BUSY, OK]
-    device.do("busy", count=-1)
-    assert host.response(0x100E, 0, 0) == BUSY
-    host.do(0x1001)
-    device.do("ok")
-    host.do(0x1004)
-
-
-def test_a_hanging_camera_answers_nothing_until_ok() -> None:
-    device, host = connected()
-    device.do("hang")
-    host.write(1, 0x1004)
-    assert host.read(timeout_s=60.0) is None
-    device.do("ok")
-    host.do(0x1004)
-
-
 def test_a_stall_lasts_until_the_halts_are_cleared() -> None:
     device, host = connected()
     device.do("stall")
@@ -72,75 +46,12 @@ def test_a_stall_lasts_until_the_halts_are_cleared() -> None:
     host.do(0x1004)
 
 
-@pytest.mark.parametrize("answers", [False, True])
-def test_half_of_an_object_is_sent(answers: bool) -> None:
-    device, host = connected(object_bytes=10_000)
-    host.do(0x100E, 0, 0)
-    handle = host.added_object()
-    device.do("truncate", answers=answers)
-    host.write(1, 0x1009, struct.pack("<I", handle))
-    error, data = host.must_read()
-    assert error == 0
-    assert struct.unpack_from("<I", data) == (10_012,)
-    assert 4000 < len(data) < 6000
-    response = host.read()
-    assert (response is not None) == answers
-    # By its response the camera counts the object as read.
-    assert (device.do("log")["shots"][0]["downloaded_s"] is not None) == answers
-    host.transaction += 1
-    assert len(host.get(0x1009, handle)) == 10_000
-    assert device.do("log")["shots"][0]["downloaded_s"] is not None
-
-
-def test_random_bytes_instead_of_a_reply() -> None:
-    device, host = connected()
-    device.do("garbage")
-    host.write(1, 0x1004)
-    error, data = host.must_read()
-    assert error == 0
-    assert struct.unpack_from("<IHHI", data)[0] != len(data)
-    host.transaction += 1
-    host.do(0x1004)
-
-
-def test_a_full_card_and_an_empty_battery_refuse_captures() -> None:
-    device, host = connected()
-    device.do("card_full")
-    assert host.response(0x100E, 0, 0) == 0x200C
-    assert host.event()[0] == 0x400A
-    device.do("ok")
-    device.do("battery_low")
-    assert host.response(0x100E, 0, 0) == 0x2002
-    assert host.get(0x1015, 0x5001) == b"\x03"
-    device.do("ok")
-    host.do(0x100E, 0, 0)
-
-
-def test_one_wrong_exposure() -> None:
-    device, host = connected(files="tiff", repeat_noise=True)
-    host.do(0x1016, 0x500D, data=struct.pack("<I", 100))
-    device.do("wrong_exposure", factor=2.0, count=1)
-    for time_s in (0.02, 0.01):
-        picture = tifffile.imread(io.BytesIO(host.shoot()))
-        assert np.array_equal(picture, device.body.sensor.expose(time_s))
-
-
 @pytest.mark.parametrize("form", ["enum", "range"])
 def test_shutter_times_are_silently_cut(form: str) -> None:
     device, host = connected(time_form=form)
     device.do("clamp", max_s=0.005)
     host.do(0x1016, 0x500D, data=struct.pack("<I", 1000))
     assert host.get(0x1015, 0x500D) == struct.pack("<I", 50)
-
-
-def test_no_events_until_ok() -> None:
-    device, host = connected()
-    device.do("no_events")
-    host.do(0x100E, 0, 0)
-    device.body.wait()
-    assert not host.events
-    device.do("ok")
-    host.shoot()
 
 
 def test_a_camera_that_was_unplugged_has_no_session_but_its_pictures() -> None:
@@ -185,12 +96,6 @@ def test_a_camera_is_unplugged_even_if_the_host_reads_nothing() -> None:
     assert device.is_attached
     host.sleep(0.2)
     assert not device.is_attached
-
-
-def test_a_negative_number_of_bytes_before_unplugging_is_refused() -> None:
-    device, _ = connected()
-    with pytest.raises(UsageError, match="invalid after_bytes -1: expected 0 or more"):
-        device.do("unplug", after_bytes=-1)
 
 
 def test_the_queues_for_a_host_that_reads_nothing_are_limited() -> None:
@@ -280,22 +185,3 @@ def test_after_any_transfers_and_requests_a_reset_makes_the_camera_usable(
     host.do(0x1001)
     host.do(0x1002, 1)
     host.do(0x1004)
-
-
-def test_control_commands_in_another_thread_during_captures_in_real_time() -> None:
-    device, host = connected(clock=RealDeviceClock())
-    stop = threading.Event()
-
-    def pester() -> None:
-        while not stop.wait(0.001):
-            device.do("state")
-            device.do("log")
-
-    thread = threading.Thread(target=pester)
-    thread.start()
-    try:
-        for _ in range(5):
-            assert host.shoot()[:2] == b"\xff\xd8"
-    finally:
-        stop.set()
-        thread.join()
