@@ -126,11 +126,6 @@ def stated_colour_space(data: bytes) -> str:
         return ""
 
 
-def exposure_time_s(data: bytes) -> float | None:
-    """Return the exposure time that a file states, s; None if it is missing or invalid."""
-    return stated_exposure(data).time_s
-
-
 def _text(value: object) -> str:
     return value.strip("\0 ") if isinstance(value, str) else ""
 

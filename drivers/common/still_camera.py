@@ -115,11 +115,9 @@ class StillOptions(ResponseOptions):
 
     Attributes:
         format: of the frames' files; "auto": the first of raw, tiff and jpeg that the camera saves
-        delete: True to delete files from the card once their frames were taken
     """
 
     format: Annotated[Literal["auto", "raw", "tiff", "jpeg"], LowerCase] = "auto"
-    delete: bool = False
 
 
 class StillCamera(CameraBase):

@@ -36,12 +36,9 @@ from camctl.errors import (
 from camctl.interface.clock import Clock
 from camctl.interface.controls import ExposureSetting
 from camctl.stills.decoding import Still
-from camctl.stills.exif import exposure_time_s
 
 # How long the camera may take to write a picture to its card.
 _WRITING_S = 10.0
-# Files state the dial's label, such as 1/60 s for 16,666 us and 1/1000 s for what may be 1/1024 s.
-_MAX_TIME_ERROR = 0.15
 _SUMMARY_BYTES = 32
 
 
@@ -56,8 +53,7 @@ class Shot:
         applied: the setting read back before the shutter was released
         taken_s: when the camera reported the end of the exposure, on the clock
         download_s: how long the file took to be transferred and decoded
-        found_again: True if it was taken before the line was disconnected, and downloaded after
-        left_on_card: name of a picture that was taken and not downloaded, or ""
+        was_pending: True if it was taken before the line was disconnected, and downloaded after
     """
 
     name: str
@@ -66,8 +62,7 @@ class Shot:
     applied: ExposureSetting
     taken_s: float
     download_s: float
-    found_again: bool
-    left_on_card: str
+    was_pending: bool
 
 
 @dataclass(frozen=True)
@@ -108,7 +103,6 @@ class CoolpixBody:
         self._format = file_format
         self._clock = clock
         self._pending: _Pending | None = None
-        self._left_on_card = ""
         self._link = SerialLink(url, FIRST_SPEED)
         try:
             self.sierra = Sierra(self._link, clock, speed=speed, timeout_s=timeout_s)
@@ -142,7 +136,7 @@ class CoolpixBody:
         try:
             self._reconnect()
             picture = self._pending_picture(setting)
-            is_found = picture is not None
+            was_pending = picture is not None
             if picture is None:
                 picture = self._release(setting)
             pending = self._pending
@@ -150,22 +144,20 @@ class CoolpixBody:
             began_s = self._clock.now()
             data, still = download(self.sierra, picture)
             download_s = self._clock.now() - began_s
-            self._check_file(data, picture, pending.applied)
         except SessionOverError:
             raise
         except (CameraDisconnectedError, CameraTimeoutError) as error:
             self._is_connected = False
             raise self._with_pending(error) from error
-        left, self._left_on_card, self._pending = self._left_on_card, "", None
+        self._pending = None
         return Shot(
-            name=picture.name,
+            name=picture.label,
             data=data,
             still=still,
             applied=pending.applied,
             taken_s=pending.taken_s,
             download_s=download_s,
-            found_again=is_found,
-            left_on_card=left,
+            was_pending=was_pending,
         )
 
     def fetch_newest(self) -> tuple[str, Still] | None:
@@ -217,21 +209,6 @@ class CoolpixBody:
         assert failure is not None
         raise failure
 
-    def _check_file(self, data: bytes, picture: CardPicture, applied: ExposureSetting) -> None:
-        if not data.startswith(FORMATS[self._format].magic):
-            raise CameraProtocolError(
-                f"the camera's file {picture.name} is not {self._format}",
-                hint="choose the quality with the camera's own menu (HI is tiff)",
-            )
-        stated_s = exposure_time_s(data)
-        if stated_s and abs(stated_s / applied.time_s - 1) > _MAX_TIME_ERROR:
-            self._pending = None
-            raise CameraProtocolError(
-                f"the camera's file {picture.name} states an exposure time of {stated_s:.6g} s, "
-                f"but {applied.time_s:.6g} s was set",
-                hint="turn its dial to M, and shoot again with times that it accepts",
-            )
-
     # ---- after the line was disconnected
 
     def _reconnect(self) -> None:
@@ -251,8 +228,6 @@ class CoolpixBody:
         last = newest_picture(self.sierra)
         if pending.requested == setting and is_next(last, pending.before):
             return last
-        if last != pending.before:
-            self._left_on_card = last.label
         self._pending = None
         return None
 

@@ -3,32 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Annotated, Literal
 
 from pydantic import field_validator
 
-from camctl.drivers.common.response_option import ResponseOptions
-from camctl.drivers.common.still_camera import StillTimes
+from camctl.drivers.common.known_format import (
+    KnownFormat,
+    WrongFormatError,
+    checked_exposure,
+    matched_pixels,
+    saved_format,
+)
+from camctl.drivers.common.still_camera import StillCamera, StillOptions
 from camctl.drivers.coolpix.body import CoolpixBody, Shot
-from camctl.drivers.coolpix.pictures import KnownFiles
+from camctl.drivers.coolpix.settings import FORMATS
 from camctl.drivers.coolpix.sierra.packets import SPEEDS, RefusedCommandError, Register
 from camctl.drivers.coolpix.sierra.session import Sierra
 from camctl.findings import note
 from camctl.interface.backends import LowerCase
-from camctl.interface.camera import CameraBase, CameraInfo, Frame, OriginalFile
+from camctl.interface.camera import CameraInfo, Frame, OriginalFile
 from camctl.interface.clock import CaptureTiming, Clock, RealClock
-from camctl.interface.colour import BT709
-from camctl.interface.controls import Choices, ExposureControls, ExposureSetting, Layout
-from camctl.model.response.camera import named_response
-from camctl.profiles.profile import StillRecord
+from camctl.interface.controls import (
+    Choices,
+    Control,
+    ExposureControls,
+    ExposureSetting,
+    Layout,
+)
 
 DRIVER = "coolpix"
+
 _TOLERANCE = 1e-4  # the camera sets 1/60 s as 16,666 us
 # Shutter time of a picture that is taken to learn the file format, s: short, with little blur.
 _TEST_PICTURE_S = 1 / 60
+_BITS_PER_BYTE = 10  # on the line, with start and stop bit
 
 
-class CoolpixOptions(ResponseOptions):
+class CoolpixOptions(StillOptions):
     """Options of a CoolPix, besides `ResponseOptions`.
 
     Attributes:
@@ -47,7 +59,7 @@ class CoolpixOptions(ResponseOptions):
         return speed
 
 
-class CoolpixCamera(CameraBase):
+class CoolpixCamera(StillCamera):
     """A CoolPix 990, or a camera with the same protocol, behind any pyserial URL.
 
     Exposures cannot overlap with transfers, since the line carries one thing at a time.  A frame's
@@ -74,12 +86,13 @@ class CoolpixCamera(CameraBase):
         clock: Clock | None = None,
         timeout_s: float = 12.0,
     ) -> None:
-        super().__init__(f"the camera at {url}", clock if clock is not None else RealClock())
+        self._options = options or CoolpixOptions()
+        super().__init__(f"the camera at {url}", clock or RealClock(), self._options)
         self._url = url
-        self._options = options if options is not None else CoolpixOptions()
         self._timeout_s = timeout_s
 
     def _open(self) -> None:
+        self._forget()
         self._body = CoolpixBody(
             self._url,
             self._options.format,
@@ -89,8 +102,6 @@ class CoolpixCamera(CameraBase):
         )
         try:
             self._info = identity(self._body.sierra, self._url)
-            self._files = KnownFiles(self._info, self._options.format)
-            self._times_taken = StillTimes(self._info, self._options.format)
         except BaseException:
             self._body.close()
             raise
@@ -98,96 +109,100 @@ class CoolpixCamera(CameraBase):
     def _close(self) -> None:
         self._body.close()
 
-    @property
-    def controls(self) -> ExposureControls:
-        """The settings of the camera; the first use may take a picture, and minutes.
-
-        Raises:
-            CameraError: the format of the frames could not be learnt, or the camera is not open
-        """
-        self._check_open()
-        record = self._files.record or self._learn_format()
-        apertures = self._body.dials.apertures
-        word = self._options.response
-        return ExposureControls(
-            time_s=self._times,
-            f_number=Choices(tuple(apertures)) if apertures else None,
-            shape=(record.rows, record.columns),
-            layout=record.layout,
-            bits=record.bits,
-            black=record.black,
-            white=record.white,
-            response=named_response(word, record.bits, record.white - record.black),
-            response_origin=self._options.response_origin,
-            timing=self._times_taken.timing or self._line_timing(),
+    def _make_controls(self) -> ExposureControls:
+        made, record, speed = super()._make_controls(), self._known_format().record, self._speed
+        size = FORMATS[self._options.format].typical_bytes
+        if self._options.format == "tiff":
+            size = record.rows * record.columns * (3 if record.layout is Layout.RGB else 1)
+        transfer_s = size * _BITS_PER_BYTE / speed
+        time = f"{transfer_s / 60:.2g} minutes" if transfer_s >= 60 else f"{transfer_s:.2g} s"
+        notes = [
+            f"a picture ({self._options.format}, about {size / 1e6:.2g} MB) takes {time} over the "
+            f"line at {speed} baud, and the next exposure begins after that"
+        ]
+        if self._options.format == "jpeg":
+            notes.append(
+                "JPEG loses levels; the format tiff keeps them, but a picture takes minutes"
+            )
+        dials = self._body.dials
+        if dials.apertures:
+            numbers = ", ".join(f"f/{number:g}" for number in dials.apertures)
+            notes.append(
+                f"its apertures low, medium and high are assumed to be {numbers} (wide end of the "
+                "zoom; 1.6 times as large at the long end), not measured"
+            )
+        return replace(
+            made,
+            timing=made.timing or CaptureTiming(download_s=transfer_s),
             tolerance=_TOLERANCE,
-            colour=BT709 if record.layout is Layout.RGB else None,
-            findings=tuple(map(note, self._notes())),
+            findings=(*map(note, (*notes, *dials.notes)), *made.findings),
         )
 
-    def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
-        controls = self.controls
-        for index, setting in enumerate(settings):
-            self._check_open()
-            shot = self._take(_nearest(controls, setting))
-            still = shot.still
-            self._files.update(still)
-            yield Frame(
-                pixels=still.pixels,
-                requested=setting,
-                applied=shot.applied,
-                timestamp_s=shot.taken_s,
-                index=index,
-                black=still.black,
-                white=still.white,
-                original=OriginalFile(_suffix(shot), shot.data),
-                details=_details(shot),
-            )
+    @property
+    def _speed(self) -> int:
+        return self._body.sierra.link.speed
 
-    def _take(self, setting: ExposureSetting) -> Shot:
-        """Take and download a picture, and keep what it took beside the exposure."""
-        began_s = self._clock.now()
-        shot = self._body.take(setting)
-        rest_s = self._clock.now() - began_s - setting.time_s - shot.download_s
-        if not shot.found_again:
-            self._times_taken.add_exposure(rest_s, 0.0)  # the line does not show when it began
-            self._times_taken.add_download(shot.download_s)
-            self._times_taken.save(overlaps=False)
-        return shot
-
-    def _learn_format(self) -> StillRecord:
-        """Learn the format of the frames from a picture, taken if there is none of this format."""
-        found = self._body.fetch_newest()
-        if found is not None:
-            name, still = found
-            self._files.notes.append(f"the format of its files was learnt from {name} on its card")
-        else:
-            shot = self._take(ExposureSetting(self._times.nearest(_TEST_PICTURE_S)))
-            name, still = shot.name, shot.still
-            self._files.notes.append(f"{name} was taken to learn the format of its files")
-        return self._files.update(still)
+    def _dial_controls(self) -> tuple[Control, Control | None, Control | None]:
+        apertures = self._body.dials.apertures
+        return self._times, None, Choices(tuple(apertures)) if apertures else None
 
     @property
     def _times(self) -> Choices:
         return Choices(tuple(us / 1e6 for us in self._body.dials.times_us))
 
-    def _line_timing(self) -> CaptureTiming:
-        """Return what follows from the speed of the line, until a picture was timed."""
-        return CaptureTiming(download_s=self._files.transfer_s(self._body.sierra.link.speed))
+    def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
+        known, times = self._known_format(), self._times_taken
+        for index, setting in enumerate(settings):
+            self._check_open()
+            began_s = self._clock.now()
+            with self._following_format(known):
+                shot = self._take(_nearest(self.controls, setting))
+                # Of the lens only the light at its wide end is known: its stop is not compared.
+                applied = replace(shot.applied, f_number=None)
+                details = checked_exposure(shot.name, shot.data, applied, has_gain=False)
+                pixels, changes = matched_pixels(shot.still, known, shot.name)
+            if not shot.was_pending:  # the line does not show when an exposure began
+                rest_s = self._clock.now() - began_s - setting.time_s - shot.download_s
+                times.add_exposure(rest_s, 0.0)
+                times.add_download(shot.download_s)
+            yield Frame(
+                pixels=pixels,
+                requested=setting,
+                applied=shot.applied,
+                timestamp_s=shot.taken_s,
+                index=index,
+                black=known.record.black,
+                white=known.record.white,
+                original=OriginalFile(FORMATS[known.format].suffixes[0].lower(), shot.data),
+                details={"object": shot.name, **details, **changes},
+            )
+        self._save_times(overlaps=False)
 
-    def _notes(self) -> tuple[str, ...]:
-        notes = [self._files.transfer_note(self._body.sierra.link.speed)]
-        if self._options.format == "jpeg":
-            notes.append(
-                "JPEG loses levels; the format tiff keeps them, but a picture takes minutes"
+    def _take(self, setting: ExposureSetting) -> Shot:
+        """Take and download a picture of the requested format."""
+        shot, name = self._body.take(setting), self._options.format
+        if not shot.data.startswith(FORMATS[name].magic):
+            raise WrongFormatError(
+                f"the camera's file {shot.name} is not {name}",
+                hint="choose the quality with the camera's own menu (HI is tiff)",
             )
-        if self._body.dials.apertures:
-            numbers = ", ".join(f"f/{number:g}" for number in self._body.dials.apertures)
-            notes.append(
-                f"its apertures low, medium and high are assumed to be {numbers} (wide end of the "
-                "zoom; 1.6 times as large at the long end), not measured"
-            )
-        return (*notes, *self._body.dials.notes, *self._files.notes)
+        return shot
+
+    def _find_format(self) -> KnownFormat:
+        """Return the format from the profile, or from a picture, taken if there is none of it."""
+        name = self._options.format
+        known = saved_format(self.info, name)
+        if known is not None:
+            return known
+        found = self._body.fetch_newest()
+        if found is not None:
+            picture, still = found
+            self._notes.append(f"the format of its files was learnt from {picture} on its card")
+        else:
+            shot = self._take(ExposureSetting(self._times.nearest(_TEST_PICTURE_S)))
+            still = shot.still
+            self._notes.append(f"{shot.name} was taken to learn the format of its files")
+        return self._learnt(name, still)
 
 
 def identity(sierra: Sierra, url: str) -> CameraInfo:
@@ -214,19 +229,3 @@ def _nearest(controls: ExposureControls, setting: ExposureSetting) -> ExposureSe
     if number is not None and controls.f_number is not None:
         number = controls.f_number.nearest(number)
     return ExposureSetting(controls.time_s.nearest(setting.time_s), 1.0, number)
-
-
-def _suffix(shot: Shot) -> str:
-    stem, dot, suffix = shot.name.rpartition(".")
-    if stem and suffix.isalnum():
-        return dot + suffix.lower()
-    return ".tif" if shot.data[:2] in (b"II", b"MM") else ".jpg"
-
-
-def _details(shot: Shot) -> dict[str, str | bool]:
-    details: dict[str, str | bool] = {"name_on_card": shot.name, **shot.still.details}
-    if shot.found_again:
-        details["found_again"] = True
-    if shot.left_on_card:
-        details["left_on_card"] = shot.left_on_card
-    return details

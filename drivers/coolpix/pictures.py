@@ -1,4 +1,4 @@
-"""Pictures on the card of a CoolPix: found, downloaded, and the format of their files."""
+"""Pictures on the card of a CoolPix: found and downloaded."""
 
 from __future__ import annotations
 
@@ -6,15 +6,11 @@ import re
 from contextlib import suppress
 from dataclasses import dataclass
 
-from camctl.drivers.common.still_camera import save_record
-from camctl.drivers.coolpix.settings import FORMATS, read_register_or_none
+from camctl.drivers.coolpix.settings import read_register_or_none
 from camctl.drivers.coolpix.sierra.packets import RefusedCommandError, Register
 from camctl.drivers.coolpix.sierra.session import Sierra
-from camctl.errors import CameraError, CameraProtocolError, DataError
-from camctl.interface.camera import CameraInfo
+from camctl.errors import CameraError, CameraProtocolError
 from camctl.interface.clock import Clock
-from camctl.interface.controls import Layout
-from camctl.profiles.profile import StillRecord, load_profile
 from camctl.stills.decoding import Still, read_still
 
 # Above any file of this camera, whose TIFF has 9.4 MB.
@@ -25,57 +21,6 @@ _POLL_S = 0.05
 # Value of the register CARD, and charge below which the battery explains a missing picture.
 _NO_CARD = 1
 _LOW_BATTERY_PERCENT = 5
-_BITS_PER_BYTE = 10  # on the line, with start and stop bit
-
-
-class KnownFiles:
-    """What is known of a camera's files in one format.
-
-    Attributes:
-        record: size, layout and levels; None until a file or the profile shows them
-        notes: problems with the profile, one line each
-    """
-
-    def __init__(self, info: CameraInfo, file_format: str) -> None:
-        self.notes: list[str] = []
-        self._info = info
-        self._format = file_format
-        try:
-            self.record = load_profile(info).stills.get(file_format)
-        except DataError as error:
-            self.record = None
-            self.notes.append(str(error))
-
-    def update(self, still: Still) -> StillRecord:
-        """Return the record of a file, which is saved in the profile if it is new."""
-        record = still.record
-        if record != self.record:
-            self.record = record
-            problem = save_record(self._info, self._format, record)
-            if problem is not None:
-                self.notes.append(problem)
-        return record
-
-    @property
-    def _size(self) -> int:
-        """Size of a file in bytes, about."""
-        if self.record is None or self._format != "tiff":
-            return FORMATS[self._format].typical_bytes
-        channels = 3 if self.record.layout is Layout.RGB else 1
-        return self.record.rows * self.record.columns * channels
-
-    def transfer_s(self, speed: int) -> float:
-        """Return about how long the transfer of a file takes at `speed` baud, s."""
-        return self._size * _BITS_PER_BYTE / speed
-
-    def transfer_note(self, speed: int) -> str:
-        """Return a note on how long the transfer of a file takes at `speed` baud."""
-        size, seconds = self._size, self.transfer_s(speed)
-        time = f"{seconds / 60:.2g} minutes" if seconds >= 60 else f"{seconds:.2g} s"
-        return (
-            f"a picture ({self._format}, about {size / 1e6:.2g} MB) takes {time} over the line at "
-            f"{speed} baud, and the next exposure begins after that"
-        )
 
 
 @dataclass(frozen=True)

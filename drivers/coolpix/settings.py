@@ -37,9 +37,8 @@ CANDIDATES_US: tuple[int, ...] = tuple(
 
 @dataclass(frozen=True)
 class Aperture:
-    """A setting of the aperture: its name, possible register values, and assumed f-number."""
+    """A setting of the aperture: possible register values, and assumed f-number."""
 
-    name: str
     codes: tuple[int, ...]
     f_number: float
 
@@ -48,9 +47,9 @@ class Aperture:
 # hold at the wide end of the zoom; at the long end they are 1.6 times as large.  Descriptions of
 # the protocol give different register values for "high".
 APERTURES = (
-    Aperture("low", (1,), 2.5),
-    Aperture("medium", (2,), 4.0),
-    Aperture("high", (3, 4), 7.0),
+    Aperture((1,), 2.5),
+    Aperture((2,), 4.0),
+    Aperture((3, 4), 7.0),
 )
 
 

@@ -46,10 +46,12 @@ class Gphoto2Options(StillOptions):
     """Options of a camera through libgphoto2, besides `StillOptions`.
 
     Attributes:
+        delete: True to delete files from the card once their frames were taken
         target: where the camera stores pictures until they are fetched: its memory (ram), which is
             faster and needs no card, or its card; "auto": its memory where it has that
     """
 
+    delete: bool = False
     target: Annotated[Literal["auto", "ram", "card"], LowerCase] = "auto"
 
 

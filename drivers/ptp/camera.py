@@ -47,9 +47,11 @@ class PtpOptions(StillOptions):
     """Options of a PTP camera, besides `StillOptions`.
 
     Attributes:
+        delete: True to delete files from the card once their frames were taken
         bulb: longest bulb exposure, held by this computer, s; None: the camera's own times only
     """
 
+    delete: bool = False
     bulb: float | None = Field(default=None, ge=1, le=3600, allow_inf_nan=False)
 
 

@@ -36,7 +36,7 @@ from camctl.drivers.v4l2.camera import V4l2Camera
 from camctl.interface.controls import Layout
 from camctl.sim.devices.still_files import RawImage, encode
 from camctl.stills.decoding import read_still
-from camctl.stills.exif import exposure_time_s
+from camctl.stills.exif import stated_exposure
 
 VENDORS = ("none", "nikon", "canon", "sony")
 
@@ -93,7 +93,7 @@ def still_files() -> dict[str, bytes]:
 
 def _still_reader(name: str) -> Reader:
     def read(data: bytes, _folder: Path) -> object:
-        return exposure_time_s(data), read_still(data, name)
+        return stated_exposure(data), read_still(data, name)
 
     return Reader(lambda: [still_files()[name]], read)
 

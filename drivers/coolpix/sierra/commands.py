@@ -126,7 +126,7 @@ class Commands:
             last, expected, bad_answers, silences = reply.data, expected + 1, 0, 0
         raise self.protocol_error("damaged packets, repeatedly")
 
-    def act(self, payload: bytes, wait_s: float) -> None:
+    def perform(self, payload: bytes, wait_s: float) -> None:
         """Send a command that is answered with ACK, and with ENQ after up to `wait_s` more.
 
         It is repeated only if the camera answers that it did not understand it.

@@ -27,7 +27,7 @@ from camctl.drivers.coolpix.sierra.packets import (
     drain,
     setting,
 )
-from camctl.errors import CameraProtocolError, CameraTimeoutError, UsageError
+from camctl.errors import CameraProtocolError, CameraTimeoutError
 from camctl.interface.clock import Clock
 
 # How long a camera may take to answer the NUL that starts a session, or the end of one.
@@ -38,7 +38,7 @@ _SWITCH_S = 0.05
 T = TypeVar("T")
 
 
-class Sierra:
+class Sierra(Commands):
     """A session with a camera.
 
     Each call ends with its result, or after a limited number of bad answers with
@@ -53,9 +53,6 @@ class Sierra:
 
     Attributes:
         sessions: how often a session was opened
-
-    Raises:
-        UsageError: the protocol has no such speed
     """
 
     def __init__(
@@ -66,12 +63,8 @@ class Sierra:
         speed: int = 115_200,
         timeout_s: float = 12.0,
     ) -> None:
-        if speed not in SPEEDS:
-            raise UsageError(f"invalid speed {speed}: expected {', '.join(map(str, SPEEDS))} baud")
-        self.link = link
+        super().__init__(link, timeout_s, clock)
         self.sessions = 0
-        self._clock = clock
-        self._commands = Commands(link, timeout_s, self._clock)
         self._highest_speed = speed
 
     def open(self) -> None:
@@ -81,19 +74,19 @@ class Sierra:
             CameraTimeoutError: no camera answers
             CameraDisconnectedError: the line was disconnected
         """
-        self._commands.restart_timeout()
+        self.restart_timeout()
         self._open_session()
 
     def reopen(self, link: SerialLink) -> None:
         """Open a session over a new line; raises as `open`."""
-        self.link = self._commands.link = link
+        self.link = link
         self.open()
 
     def answers(self) -> bool:
         """Return whether a camera answers one NUL at 19,200 baud, which opens a session."""
-        self._commands.restart_timeout()
+        self.restart_timeout()
         self.link.write(bytes((NUL,)))
-        self._commands.mark_first()
+        self.mark_first()
         return self._receives_nak()
 
     def get(self, register: Register, *, picture: int | None = None) -> int:
@@ -104,9 +97,7 @@ class Sierra:
         """
         data = self._of_picture(picture, bytes((GET_INTEGER, register)), 4)
         if len(data) != 4:
-            raise self._commands.protocol_error(
-                f"register {register} has {len(data)} bytes instead of 4"
-            )
+            raise self.protocol_error(f"register {register} has {len(data)} bytes instead of 4")
         return int.from_bytes(data, "little")
 
     def set(self, register: Register, value: int) -> None:
@@ -115,7 +106,7 @@ class Sierra:
         Raises:
             RefusedCommandError: the camera refused
         """
-        self._exchange(lambda: self._commands.send(setting(register, value)))
+        self._exchange(lambda: self.send(setting(register, value)))
 
     def read(self, register: Register, limit: int, *, picture: int | None = None) -> bytes:
         """Return a register of data, of the picture of that number if one is given.
@@ -150,16 +141,16 @@ class Sierra:
             CameraTimeoutError, CameraProtocolError: it is unknown whether it was performed
             CameraDisconnectedError: the line was disconnected
         """
-        self._commands.restart_timeout()
+        self.restart_timeout()
         if self._has_ended():
-            raise self._commands.session_over_error()
-        self._commands.act(bytes((ACT, action, 0)), wait_s)
+            raise self.session_over_error()
+        self.perform(bytes((ACT, action, 0)), wait_s)
 
     def close(self) -> None:
         """End the session: the camera returns to 19,200 baud, and its buttons work again."""
-        self._commands.restart_timeout()
+        self.restart_timeout()
         self.link.write(command_packet(bytes((ACT, Action.END_SESSION, 0))))
-        self._commands.receive(_WAKE_S)
+        self.receive(_WAKE_S)
         self.link.speed = FIRST_SPEED
 
     # ---- sessions
@@ -185,7 +176,7 @@ class Sierra:
                 self.link.read_waiting(DRAIN_BYTES)
                 self.link.write(bytes((NUL,)))
                 if self._receives_nak():
-                    self._commands.mark_first()
+                    self.mark_first()
                     return
             self.link.speed = other
             self.link.write(command_packet(bytes((ACT, Action.END_SESSION, 0))))
@@ -193,9 +184,9 @@ class Sierra:
 
     def _receives_nak(self) -> bool:
         for _ in range(MAX_BAD_ANSWERS):
-            answer = self.link.read(1, self._commands.remaining_s(_WAKE_S))
+            answer = self.link.read(1, self.remaining_s(_WAKE_S))
             if answer == bytes((NAK,)):
-                self._commands.restart_timeout()
+                self.restart_timeout()
                 return True
             if not answer:
                 return False
@@ -204,13 +195,13 @@ class Sierra:
 
     def _speed_works(self, speed: int) -> bool:
         try:
-            self._commands.send(setting(Register.SPEED, SPEEDS[speed]))
+            self.send(setting(Register.SPEED, SPEEDS[speed]))
         except CameraProtocolError:
             return False
         self.link.speed = speed
         self._clock.sleep_until(self._clock.now() + _SWITCH_S)
         try:
-            self._commands.request(bytes((GET_INTEGER, Register.PICTURES)), 4, max_silences=1)
+            self.request(bytes((GET_INTEGER, Register.PICTURES)), 4, max_silences=1)
         except RefusedCommandError:
             return True  # a refusal, too, came at this speed
         except (CameraProtocolError, CameraTimeoutError, SessionOverError):
@@ -220,10 +211,10 @@ class Sierra:
 
     def _exchange(self, operation: Callable[[], T]) -> T:
         """Return the result of `operation`, which is retried once in a new session."""
-        self._commands.restart_timeout()
+        self.restart_timeout()
         try:
             if self._has_ended():
-                raise self._commands.session_over_error()
+                raise self.session_over_error()
             return operation()
         except (SessionOverError, CameraTimeoutError):
             self._open_session()
@@ -236,7 +227,7 @@ class Sierra:
         # A new session does not keep the number of the picture, so each attempt sets it.
         def request() -> bytes:
             if picture is not None:
-                self._commands.send(setting(Register.PICTURE, picture))
-            return self._commands.request(payload, limit)
+                self.send(setting(Register.PICTURE, picture))
+            return self.request(payload, limit)
 
         return self._exchange(request)

@@ -16,6 +16,7 @@ from coolpix_bench import (
     virtual_coolpix,
 )
 
+from camctl.drivers.common.known_format import FormatChangedError
 from camctl.drivers.coolpix.camera import CoolpixCamera
 from camctl.drivers.coolpix.settings import CANDIDATES_US
 from camctl.interface.camera import Camera
@@ -109,7 +110,7 @@ class TestPictures:
         steps = frame.details["brightness_steps"]
         assert len(steps) == 64
         known = {"few_chroma_samples": True, "brightness_steps": steps}
-        assert frame.details == {"name_on_card": name, **known}
+        assert frame.details == {"object": name, **known}
         assert "JPEG loses levels" in notes
 
     def test_only_times_that_are_read_back_unchanged_are_offered(
@@ -201,24 +202,15 @@ class TestFileFormat:
             assert camera.controls.shape == (24, 32)
         assert len(device.camera.pictures) == taken
 
-    def test_a_wrong_profile_is_corrected_and_the_frame_is_kept(self, device: SierraDevice) -> None:
+    def test_a_wrong_profile_is_corrected_by_the_first_file(self, device: SierraDevice) -> None:
         record = StillRecord(rows=1, columns=2, layout=Layout.RGB, bits=8, black=0, white=255)
         with coolpix_on(device) as camera:
             info = camera.info
         change_profile(info, lambda found: found.stills.update(tiff=record))
         with coolpix_on(device) as camera:
             assert camera.controls.shape == (1, 2)
-            (frame,) = shoot(camera, SETTINGS[:1])
-            assert frame.pixels.shape == (24, 32, 3)
+            with pytest.raises(FormatChangedError, match="has 32 x 24 samples"):
+                shoot(camera)
             assert camera.controls.shape == (24, 32)
+            assert len(shoot(camera)) == 2
         assert load_profile(info).stills["tiff"].rows == 24
-
-    def test_a_damaged_profile_is_noted(self, device: SierraDevice, own_profiles: Path) -> None:
-        with coolpix_on(device) as camera:
-            learn_format(camera)
-        (path,) = own_profiles.glob("*.json")
-        path.write_text("{")
-        with coolpix_on(device) as camera:
-            notes = "\n".join(camera.controls.notes)
-        assert f"{path} is damaged" in notes
-        assert "could not be saved in its profile" in notes

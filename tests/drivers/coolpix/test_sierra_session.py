@@ -29,7 +29,7 @@ from camctl.drivers.coolpix.sierra.packets import (
     command_packet,
     receive,
 )
-from camctl.errors import CameraError, CameraProtocolError, CameraTimeoutError, UsageError
+from camctl.errors import CameraError, CameraProtocolError, CameraTimeoutError
 
 
 def first_time(condition: Callable[[bytes], bool]) -> Callable[[bytes], bool]:
@@ -148,10 +148,6 @@ class TestSessions:
         sierra.close()
         assert camera.speed == sierra.link.speed == 19200
         assert not camera.in_session
-
-    def test_a_speed_that_the_protocol_does_not_have(self) -> None:
-        with pytest.raises(UsageError, match=r"invalid speed 230400: expected 9600, .*, 115200 "):
-            closed_session(Camera(), speed=230400)
 
     def test_a_camera_that_restarted_gets_a_new_session(self) -> None:
         camera = Camera()

@@ -6,7 +6,6 @@ All of it in virtual time, on a model of the kernel.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import closing
 from itertools import product
 
 import numpy as np
@@ -15,7 +14,6 @@ from sampling import some
 from v4l2_bench import TICKS, exposures, open_streaming, save_delay, settings
 from v4l2_model import Model, ticks_of
 
-from camctl.errors import CameraProtocolError
 from camctl.interface.camera import Camera
 from camctl.interface.clock import VirtualClock
 from camctl.interface.controls import ExposureSetting
@@ -66,14 +64,6 @@ def test_n_exposures_take_n_plus_d_frames(delay: int) -> None:
             assert len(used) == len(TICKS) + delay, lateness_s
             stamps = [frame.timestamp_s for frame in frames]
             assert np.diff(stamps) == pytest.approx(np.full(len(TICKS) - 1, 0.1)), lateness_s
-
-
-def test_applied_setting_is_the_one_read_back() -> None:
-    save_delay(2)
-    with open_streaming(Model()) as camera:
-        for frame, ticks in zip(camera.shoot(settings(TICKS)), TICKS, strict=True):
-            assert frame.applied == ExposureSetting(ticks / 10_000)
-            assert frame.requested == frame.applied
 
 
 @pytest.mark.parametrize("delay", range(-1, 6))
@@ -195,27 +185,6 @@ def test_sequence_numbers_begin_again_at_zero() -> None:
         assert len(model.used) - before <= len(TICKS) + 3
 
 
-def test_only_damaged_frames_are_an_error() -> None:
-    save_delay(2)
-    model = Model(damage=set(range(1000)))
-    with (
-        open_streaming(model) as camera,
-        pytest.raises(CameraProtocolError, match="frames are lost, damaged, or"),
-    ):
-        list(camera.shoot(settings(TICKS)))
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_jitter_of_timestamps_costs_no_slots(seed: int) -> None:
-    save_delay(2)
-    random = np.random.default_rng(seed)
-    model = Model(jitter_s=lambda slot: float(random.uniform(0, 0.015)))
-    with open_streaming(model) as camera:
-        before = len(model.used)
-        assert exposures(camera.shoot(settings(TICKS))) == list(TICKS)
-        assert len(model.used) - before <= len(TICKS) + 3
-
-
 @pytest.mark.parametrize("seed", some(range(20), every=2))
 def test_no_wrong_frame_with_all_irregularities_together(seed: int) -> None:
     """Lost and damaged frames, jitter, slow controls, and a consumer that pauses at random."""
@@ -238,23 +207,6 @@ def test_no_wrong_frame_with_all_irregularities_together(seed: int) -> None:
             if random.random() < 0.3:
                 model.clock.sleep_until(model.clock.now() + float(random.exponential(0.2)))
         assert shown == ticks
-
-
-@pytest.mark.parametrize("write_s", [0.04, 0.09, 0.12, 0.2])
-def test_write_that_ends_in_the_next_slot(write_s: float) -> None:
-    """It is not known in which slot such a write takes effect."""
-    save_delay(1)
-    model = Model(delay=1, write_s=write_s)
-    with open_streaming(model) as camera:
-        assert exposures(camera.shoot(settings(TICKS))) == list(TICKS)
-
-
-def test_second_list_after_a_cancelled_one() -> None:
-    save_delay(3)
-    with open_streaming(Model(delay=3)) as camera:
-        with closing(camera.shoot(settings([160, 80, 40]))) as frames:
-            assert ticks_of(next(frames).pixels) == 160
-        assert exposures(camera.shoot(settings([20, 40]))) == [20, 40]
 
 
 class SlowClock(VirtualClock):

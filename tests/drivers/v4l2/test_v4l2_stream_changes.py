@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 
@@ -14,12 +13,9 @@ from v4l2_model import PATH, Model, ticks_of
 
 from camctl.calibration.delay import measure_delay
 from camctl.captures.sequencer import capture
-from camctl.drivers.v4l2.abi import ControlId
 from camctl.errors import (
     CameraDisconnectedError,
     CameraProtocolError,
-    CameraTimeoutError,
-    RefusedSettingError,
 )
 from camctl.exposure.goal import CaptureRequest
 
@@ -104,63 +100,14 @@ class Flickering(Model):
 
 
 class TestStep:
-    @pytest.mark.parametrize("delay", range(6))
-    def test_frame_d_is_the_first_with_the_new_exposure(self, delay: int) -> None:
-        before, after = settings([160, 40])
-        with open_streaming(Model(delay=delay)) as camera:
-            for _ in range(4):
-                frames = camera.step(before, after, 8)
-                assert exposures(frames) == [160] * delay + [40] * (8 - delay)
-
     @pytest.mark.parametrize("delay", some(range(-1, 6), every=2))
     def test_the_delay_is_measured(self, delay: int) -> None:
         with open_streaming(Model(delay=delay)) as camera:
             record = measure_delay(camera)
             assert (record.frames, record.smallest, record.largest) == (delay, delay, delay)
 
-    def test_a_step_with_a_lost_frame_is_repeated(self) -> None:
-        before, after = settings([160, 40])
-        with open_streaming(Model(lose={25, 45, 46})) as camera:
-            for _ in range(4):
-                assert exposures(camera.step(before, after, 5)) == [160, 160, 40, 40, 40]
-
 
 class TestFaults:
-    @pytest.mark.parametrize("delay", [0, 2, 5])
-    @pytest.mark.parametrize("place", range(8))
-    def test_frames_before_a_refused_setting_are_yielded(self, delay: int, place: int) -> None:
-        save_delay(delay)
-        model = Model(delay=delay)
-        ticks = [*TICKS[:place], 450, *TICKS[place:]]
-        shown: list[int] = []
-        with open_streaming(model) as camera:
-            model.controls[ControlId.EXPOSURE_ABSOLUTE].clamp = 400
-            with pytest.raises(RefusedSettingError) as caught:
-                shown.extend(ticks_of(frame.pixels) for frame in camera.shoot(settings(ticks)))
-        assert shown == list(TICKS[:place])
-        assert caught.value.nearest == pytest.approx(0.04)
-
-    def test_frozen_camera_times_out(self) -> None:
-        save_delay(2)
-        model = Model()
-        with open_streaming(model) as camera, closing(camera.shoot(settings(TICKS))) as frames:
-            next(frames)
-            model.frozen = True
-            model.waiting.clear()
-            began_s = model.clock.now()
-            with pytest.raises(CameraTimeoutError, match=rf"no frame from {PATH} for 10 s"):
-                list(frames)
-            assert model.clock.now() - began_s < 12
-
-    def test_unplugged_camera(self) -> None:
-        save_delay(2)
-        model = Model()
-        with open_streaming(model) as camera, closing(camera.shoot(settings(TICKS))) as frames:
-            next(frames)
-            model.unplugged = True
-            with pytest.raises(CameraDisconnectedError, match=f"{PATH} was unplugged"):
-                list(frames)
-
     def test_camera_closed_during_a_sequence(self) -> None:
         save_delay(2)
         with open_streaming(Model()) as camera, closing(camera.shoot(settings(TICKS))) as frames:
@@ -168,21 +115,6 @@ class TestFaults:
             camera.close()
             with pytest.raises(CameraDisconnectedError, match=f"{PATH} is not open"):
                 next(frames)
-
-    @pytest.mark.parametrize(
-        ("stamp_s", "message"),
-        [
-            (lambda end_s: end_s + 1.7e9, "not on the system's monotonic clock"),
-            (lambda end_s: 1000.5, "frames are lost, damaged, or arrive at irregular times"),
-        ],
-        ids=["another clock", "constant"],
-    )
-    def test_unusable_timestamps(self, stamp_s: Callable[[float], float], message: str) -> None:
-        model = Model()
-        model.stamp_s = stamp_s
-        with pytest.raises(CameraProtocolError, match=message):
-            open_streaming(model)
-        assert model.descriptors == 0
 
 
 @pytest.mark.parametrize("delay", [1, 3])
