@@ -78,11 +78,6 @@ class RecordedStream(FileModel):
         }
 
 
-def built_in_streams() -> tuple[str, ...]:
-    """Return the names of the streams that come with the program."""
-    return tuple(sorted(built_in_files("streams")))
-
-
 def load_stream(name: str) -> RecordedStream:
     """Return a stream that comes with the program.
 

@@ -202,11 +202,6 @@ class SimulatedDevice:
         self._finished.clear()
         self._frozen = True
 
-    def thaw(self) -> None:
-        """Resume the stream after `freeze`."""
-        self._frozen = False
-        self._start_s = max(self._start_s, self._clock.now())
-
     def _check_plug(self) -> None:
         if not self._plugged:
             raise CameraDisconnectedError(

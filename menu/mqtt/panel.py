@@ -19,9 +19,10 @@ from camctl.menu.mqtt.topics import (
     COMMANDS,
     OFFLINE,
     ONLINE,
-    Topics,
     discovery_message,
+    discovery_topic,
     state_message,
+    topic,
 )
 from camctl.menu.panels.address import parse_address
 from camctl.menu.ports import Key, PanelDisconnectedError, Screen
@@ -86,7 +87,7 @@ class MqttPanel:
                 hint="use HOST, HOST:PORT or HOST,name=NAME, with letters, digits, - and _",
             )
         self._broker = (host, int(port))
-        self.topics = Topics(name)
+        self._name = name
         self._client: Any = None
         self._connected = threading.Event()
         self._refused_by_broker = ""
@@ -141,7 +142,9 @@ class MqttPanel:
         client, self._client = self._client, None
         if client is not None:
             if client.is_connected():
-                client.publish(self.topics.availability, OFFLINE, 1, True).wait_for_publish(2)
+                client.publish(
+                    topic(self._name, "availability"), OFFLINE, 1, True
+                ).wait_for_publish(2)
             client.disconnect()
             client.loop_stop()
         self._sent, self._sent_picture = {}, ""
@@ -163,11 +166,11 @@ class MqttPanel:
         state = state_message(self._model, screen, self._refused)
         if state != self._sent:
             self._sent = state
-            self._client.publish(self.topics.state, json.dumps(state), 1, True)
+            self._client.publish(topic(self._name, "state"), json.dumps(state), 1, True)
         if self._model.state is State.RESULT and screen.folder != self._sent_picture:
             self._sent_picture = screen.folder
             if picture := _picture(Path(screen.folder)):
-                self._client.publish(self.topics.picture, picture, 1, True)
+                self._client.publish(topic(self._name, "picture"), picture, 1, True)
         return 0
 
     def key(self, timeout_s: float) -> Key | None:
@@ -207,7 +210,7 @@ class MqttPanel:
             client.username_pw_set(user, os.environ.get(PASSWORD_VARIABLE))
         if self._has_tls:
             client.tls_set()
-        client.will_set(self.topics.availability, OFFLINE, 1, True)
+        client.will_set(topic(self._name, "availability"), OFFLINE, 1, True)
         client.on_connect, client.on_message = self._on_connect, self._on_message
         return client
 
@@ -216,10 +219,10 @@ class MqttPanel:
         if reason.is_failure:
             self._refused_by_broker = str(reason)
         else:
-            client.subscribe(self.topics.command, 1)
-            discovery = json.dumps(discovery_message(self.topics))
-            client.publish(self.topics.discovery, discovery, 1, True)
-            client.publish(self.topics.availability, ONLINE, 1, True)
+            client.subscribe(topic(self._name, "command"), 1)
+            discovery = json.dumps(discovery_message(self._name))
+            client.publish(discovery_topic(self._name), discovery, 1, True)
+            client.publish(topic(self._name, "availability"), ONLINE, 1, True)
         self._connected.set()
 
     def _on_message(self, _: object, __: object, message: Any) -> None:

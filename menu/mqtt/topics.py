@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import camctl
@@ -18,36 +17,21 @@ DISCOVERY = "homeassistant"
 """Beginning of Home Assistant's topics, unless its configuration names another."""
 
 
-@dataclass(frozen=True)
-class Topics:
-    """The topics of one camera, which is called `name`."""
+def topic(name: str, part: str) -> str:
+    """Return a topic of the camera that is called `name`.
 
-    name: str
+    Args:
+        name: of the camera
+        part: "command" takes one of `COMMANDS`; others are retained: "availability" has `ONLINE`
+            while the menu runs, else `OFFLINE`, "state" what `state_message` returns, as JSON,
+            "picture" the last picture as a PNG file
+    """
+    return f"camctl/{name}/{part}"
 
-    @property
-    def command(self) -> str:
-        """Takes one of `COMMANDS`."""
-        return f"camctl/{self.name}/command"
 
-    @property
-    def availability(self) -> str:
-        """Has `ONLINE` while the menu runs, else `OFFLINE`; retained."""
-        return f"camctl/{self.name}/availability"
-
-    @property
-    def state(self) -> str:
-        """Has what `state_message` returns, as JSON; retained."""
-        return f"camctl/{self.name}/state"
-
-    @property
-    def picture(self) -> str:
-        """Has the last picture as a PNG file; retained."""
-        return f"camctl/{self.name}/picture"
-
-    @property
-    def discovery(self) -> str:
-        """Has what `discovery_message` returns, as JSON; retained."""
-        return f"{DISCOVERY}/device/camctl-{self.name}/config"
+def discovery_topic(name: str) -> str:
+    """Return the topic of what `discovery_message` returns, as JSON; retained."""
+    return f"{DISCOVERY}/device/camctl-{name}/config"
 
 
 def state_message(model: Model, screen: Screen, refused: str) -> dict[str, Any]:
@@ -92,15 +76,15 @@ _SENSORS: dict[str, dict[str, str]] = {
 _ICONS = {"shoot": "mdi:camera-iris", "series": "mdi:camera-timer", "cancel": "mdi:cancel"}
 
 
-def discovery_message(topics: Topics) -> dict[str, Any]:
+def discovery_message(name: str) -> dict[str, Any]:
     """Return the description of the device for Home Assistant (MQTT device discovery, 2024.11)."""
-    unique = f"camctl-{topics.name}"
+    unique = f"camctl-{name}"
     buttons = {
         command: {
             "platform": "button",
             "unique_id": f"{unique}-{command}",
             "name": command.capitalize(),
-            "command_topic": topics.command,
+            "command_topic": topic(name, "command"),
             "payload_press": command,
             "icon": _ICONS[command],
         }
@@ -110,7 +94,7 @@ def discovery_message(topics: Topics) -> dict[str, Any]:
         field: {
             "platform": "sensor",
             "unique_id": f"{unique}-{field}",
-            "state_topic": topics.state,
+            "state_topic": topic(name, "state"),
             "value_template": f"{{{{ value_json.{field} }}}}",
             **shown,
         }
@@ -120,17 +104,17 @@ def discovery_message(topics: Topics) -> dict[str, Any]:
         "platform": "image",
         "unique_id": f"{unique}-picture",
         "name": "Last picture",
-        "image_topic": topics.picture,
+        "image_topic": topic(name, "picture"),
         "content_type": "image/png",
     }
     return {
         "device": {
             "identifiers": [unique],
-            "name": f"camctl {topics.name}",
+            "name": f"camctl {name}",
             "manufacturer": "camctl",
             "sw_version": camctl.__version__,
         },
         "origin": {"name": "camctl", "sw_version": camctl.__version__},
-        "availability_topic": topics.availability,
+        "availability_topic": topic(name, "availability"),
         "components": {**buttons, **sensors, "picture": picture},
     }

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 
-class _Resources(ctypes.Structure):
-    _fields_ = (
-        *((name, ctypes.c_uint64) for name in ("fbs", "crtcs", "connectors", "encoders")),
-        *((f"{name}_count", ctypes.c_uint32) for name in ("fb", "crtc", "connector", "encoder")),
-        *((name, ctypes.c_uint32) for name in ("least_x", "most_x", "least_y", "most_y")),
-    )
+def _structure(**fields: str) -> type[ctypes.Structure]:
+    """Return a structure of fields, which are listed by their types, in their order."""
+    kinds = {"u64": ctypes.c_uint64, "u32": ctypes.c_uint32}
+    listed = [(n, kinds[kind]) for kind, names in fields.items() for n in names.split()]
+    return type("Structure", (ctypes.Structure,), {"_fields_": listed})
 
 
 class _Mode(ctypes.Structure):
@@ -41,51 +40,20 @@ class _Crtc(ctypes.Structure):
     )
 
 
-class _Encoder(ctypes.Structure):
-    _fields_ = tuple(
-        (name, ctypes.c_uint32) for name in ("encoder", "kind", "crtc", "crtcs", "clones")
-    )
-
-
-class _Connector(ctypes.Structure):
-    _fields_ = (
-        *((name, ctypes.c_uint64) for name in ("encoders", "modes", "properties", "values")),
-        *((f"{name}_count", ctypes.c_uint32) for name in ("mode", "property", "encoder")),
-        *((name, ctypes.c_uint32) for name in ("encoder", "connector", "kind", "number")),
-        *((name, ctypes.c_uint32) for name in ("state", "width_mm", "height_mm", "subpixel")),
-        ("_pad", ctypes.c_uint32),
-    )
-
-
-class _Dumb(ctypes.Structure):
-    _fields_ = (
-        *((name, ctypes.c_uint32) for name in ("rows", "columns", "bits", "flags", "handle")),
-        ("line_bytes", ctypes.c_uint32),
-        ("bytes", ctypes.c_uint64),
-    )
-
-
-class _Map(ctypes.Structure):
-    _fields_ = (
-        ("handle", ctypes.c_uint32),
-        ("_pad", ctypes.c_uint32),
-        ("offset", ctypes.c_uint64),
-    )
-
-
-class _Fb(ctypes.Structure):
-    _fields_ = tuple(
-        (name, ctypes.c_uint32)
-        for name in ("fb", "columns", "rows", "line_bytes", "bits", "depth", "handle")
-    )
-
-
-class _Dirty(ctypes.Structure):
-    _fields_ = (
-        *((name, ctypes.c_uint32) for name in ("fb", "flags", "colour", "count")),
-        ("clips", ctypes.c_uint64),
-    )
-
+_Resources = _structure(
+    u64="fbs crtcs connectors encoders",
+    u32="fb_count crtc_count connector_count encoder_count least_x most_x least_y most_y",
+)
+_Encoder = _structure(u32="encoder kind crtc crtcs clones")
+_Connector = _structure(
+    u64="encoders modes properties values",
+    u32="mode_count property_count encoder_count encoder connector kind number state width_mm "
+    "height_mm subpixel _pad",
+)
+_Dumb = _structure(u32="rows columns bits flags handle line_bytes", u64="bytes")
+_Map = _structure(u32="handle _pad", u64="offset")
+_Fb = _structure(u32="fb columns rows line_bytes bits depth handle")
+_Dirty = _structure(u32="fb flags colour count", u64="clips")
 
 _NUMBERS: dict[type[ctypes.Structure], int] = {
     _Resources: 0xA0,

@@ -7,19 +7,17 @@ import mmap
 import os
 import struct
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.errors import CamctlError, UsageError
 from camctl.interface.clock import Clock
-from camctl.menu.drawing import SMALLEST, Pixels, draw
+from camctl.menu.drawing import Pixels
 from camctl.menu.panels.address import parse_address
 from camctl.menu.panels.input_keys import InputKeys
-from camctl.menu.panels.keyed import KEY_OPTIONS, KeyedPanel, keys_of
-from camctl.menu.ports import PanelDisconnectedError, Screen
-from camctl.system.interrupts import uninterrupted
+from camctl.menu.panels.keyed import KEY_OPTIONS, keys_of
+from camctl.menu.panels.pixels import PixelPanel
 
 _VARIABLE, _FIXED = 0x4600, 0x4602
 """FBIOGET_VSCREENINFO and FBIOGET_FSCREENINFO of linux/fb.h."""
@@ -81,7 +79,7 @@ class FrameBufferFormat:
         return whole[..., : self.bits // 8].reshape(pixels.shape[0], -1)
 
 
-class FramebufferPanel(KeyedPanel):
+class FramebufferPanel(PixelPanel):
     """A display that the kernel offers as a frame buffer; a context manager.
 
     Args:
@@ -98,18 +96,7 @@ class FramebufferPanel(KeyedPanel):
         self._before = b""
         self._format: FrameBufferFormat | None = None
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """(columns, rows) of the display, pixels."""
-        return self._opened[1].columns, self._opened[1].rows
-
-    def __enter__(self) -> Self:
-        """Open the display and return the panel.
-
-        Raises:
-            UsageError: it is no frame buffer, it is too small, or in a format that is not drawn
-            CamctlError: it is not there, or may not be opened
-        """
+    def _open(self) -> tuple[int, int]:
         try:
             descriptor = os.open(self._path, os.O_RDWR)
         except OSError as error:
@@ -122,13 +109,8 @@ class FramebufferPanel(KeyedPanel):
             ) from error
         try:
             variable, fixed = self._infos(descriptor)
-            self._format = FrameBufferFormat.parse(variable, fixed)
-            if self.too_small(self._format):
-                raise UsageError(
-                    f"the display has only {self._format.columns} x {self._format.rows} pixels",
-                    hint=f"the menu needs {SMALLEST[0]} x {SMALLEST[1]}",
-                )
-            length = self._format.first_byte + self._format.rows * self._format.line_bytes
+            self._format = found = FrameBufferFormat.parse(variable, fixed)
+            length = found.first_byte + found.rows * found.line_bytes
             try:
                 self._memory = mmap.mmap(descriptor, length)
             except (OSError, ValueError) as error:
@@ -138,12 +120,7 @@ class FramebufferPanel(KeyedPanel):
             self._before = self._memory[:]
         finally:
             os.close(descriptor)
-        return self
-
-    @staticmethod
-    def too_small(found: FrameBufferFormat) -> bool:
-        """Return whether a display is smaller than the menu's smallest picture."""
-        return found.columns < SMALLEST[0] or found.rows < SMALLEST[1]
+        return found.columns, found.rows
 
     def _infos(self, descriptor: int) -> tuple[bytes, bytes]:
         """Return the kernel's two structures; raises `UsageError` for another device."""
@@ -157,25 +134,17 @@ class FramebufferPanel(KeyedPanel):
                 f"{self._path} is no frame buffer", hint="use framebuffer:/dev/fb0"
             ) from error
 
-    @uninterrupted
-    def __exit__(self, *_: object) -> None:
-        """Restore what the display showed, and close it."""
+    def _release(self) -> None:
         memory, self._memory = self._memory, None
         if memory is not None:
             memory[:] = self._before
             memory.close()
-        self._keys.close()
 
-    @property
-    def _opened(self) -> tuple[mmap.mmap, FrameBufferFormat]:
-        if self._memory is None or self._format is None:
-            raise PanelDisconnectedError(f"{self._path} is not open", hint="open it first")
-        return self._memory, self._format
-
-    def _draw(self, screen: Screen) -> int:
-        memory, found = self._opened
-        drawing = draw(screen, found.columns, found.rows)
-        encoded = found.encoded(drawing.pixels)
-        lines = np.frombuffer(memory, np.uint8, found.rows * found.line_bytes, found.first_byte)
+    def _paint(self, pixels: Pixels, *, is_dark: bool) -> None:
+        assert self._memory is not None  # it is open
+        assert self._format is not None
+        found, encoded = self._format, self._format.encoded(pixels)
+        lines = np.frombuffer(
+            self._memory, np.uint8, found.rows * found.line_bytes, found.first_byte
+        )
         lines.reshape(found.rows, found.line_bytes)[:, : encoded.shape[1]] = encoded
-        return drawing.last_offset

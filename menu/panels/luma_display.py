@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import importlib
 from contextlib import suppress
-from typing import Any, Self
+from typing import Any
 
 from camctl.errors import UsageError
 from camctl.interface.clock import Clock
-from camctl.menu.drawing import SMALLEST, draw
+from camctl.menu.drawing import Pixels
 from camctl.menu.panels.address import parse_address
-from camctl.menu.panels.keyed import KEY_OPTIONS, KeyedPanel, keys_of
-from camctl.menu.ports import PanelDisconnectedError, Screen
-from camctl.system.interrupts import uninterrupted
+from camctl.menu.panels.keyed import KEY_OPTIONS, keys_of
+from camctl.menu.panels.pixels import PixelPanel
+from camctl.menu.ports import PanelDisconnectedError
 
 _BUS_OPTIONS = ("interface", "i2c-", "spi-", "gpio", "ftdi-", "backlight-active")
 """Beginnings of those of luma's options that say how a display is connected."""
@@ -21,7 +21,7 @@ _DEVICE_OPTIONS = ("width", "height", "rotate", "mode", "bgr", "inverse", "h-off
 """Those of luma's options that a display is made with."""
 
 
-class LumaPanel(KeyedPanel):
+class LumaPanel(PixelPanel):
     """A display that luma drives, with keys of GPIO lines or input devices; a context manager.
 
     Args:
@@ -45,13 +45,7 @@ class LumaPanel(KeyedPanel):
         self._device: Any = None
         self._is_dark = False
 
-    def __enter__(self) -> Self:
-        """Start the display and return the panel.
-
-        Raises:
-            UsageError: it has too few pixels, or luma cannot drive it here
-            PanelDisconnectedError: it does not answer
-        """
+    def _open(self) -> tuple[int, int]:
         from luma.core import error
 
         try:
@@ -67,20 +61,8 @@ class LumaPanel(KeyedPanel):
                 f"luma cannot drive the display {self._name}: {str(problem) or 'invalid options'}",
                 hint="see https://luma-oled.readthedocs.io for its options",
             ) from problem
-        if self._device.width < SMALLEST[0] or self._device.height < SMALLEST[1]:
-            size = f"{self._device.width} x {self._device.height}"
-            self._close()
-            raise UsageError(
-                f"the display has only {size} pixels",
-                hint=f"the menu needs {SMALLEST[0]} x {SMALLEST[1]}",
-            )
         self._is_dark = False
-        return self
-
-    @uninterrupted
-    def __exit__(self, *_: object) -> None:
-        """Clear the display, switch it off, and close its bus."""
-        self._close()
+        return self._device.width, self._device.height
 
     def _made(self) -> Any:
         """Return the display, started; `luma.core.cmdline.create_device` cannot make an ST7789."""
@@ -98,16 +80,15 @@ class LumaPanel(KeyedPanel):
         kind = getattr(importlib.import_module(f"luma.{library}.device"), self._name)
         return kind(**arguments)
 
-    def _draw(self, screen: Screen) -> int:
+    def _paint(self, pixels: Pixels, *, is_dark: bool) -> None:
         from PIL import Image
 
         device = self._device
-        drawing = draw(screen, device.width, device.height)
-        picture = Image.fromarray(drawing.pixels).convert(device.mode)
+        picture = Image.fromarray(pixels).convert(device.mode)
         try:
-            if screen.is_dark != self._is_dark:
-                (device.hide if screen.is_dark else device.show)()
-                self._is_dark = screen.is_dark
+            if is_dark != self._is_dark:
+                (device.hide if is_dark else device.show)()
+                self._is_dark = is_dark
             device.display(picture)
         except Exception as error:  # luma has an error of its own for some buses
             if isinstance(error, OSError) or type(error).__module__ == "luma.core.error":
@@ -115,14 +96,13 @@ class LumaPanel(KeyedPanel):
                     f"the display {self._name} was disconnected: {error}", hint="connect it again"
                 ) from error
             raise
-        return drawing.last_offset
 
-    def _close(self) -> None:
+    def _release(self) -> None:
+        """Clear the display, switch it off, and close its bus."""
         device, self._device = self._device, None
         if device is not None:
             with suppress(Exception):  # it may be gone, and then shows nothing
                 device.cleanup()
-        self._keys.close()
 
 
 def _parser() -> Any:

@@ -10,8 +10,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from camctl.errors import DataError
-
 Light = NDArray[np.float32]
 Window = tuple[NDArray[np.float64], NDArray[np.float64]]
 
@@ -27,20 +25,10 @@ class Lamps:
     Attributes:
         mains_hz: frequency of the mains, 50 or 60
         depth: 0 to 1; about 0.1 for a bulb, 0.4 for a sodium lamp, up to 1 for a cheap LED
-
-    Raises:
-        DataError: a frequency or a depth out of range
     """
 
     mains_hz: float
     depth: float
-
-    def __post_init__(self) -> None:
-        if not (0 < self.mains_hz < 1e6 and 0 <= self.depth <= 1):
-            raise DataError(
-                f"invalid lamps: mains_hz {self.mains_hz:g}, depth {self.depth:g}",
-                hint="expected mains_hz 50 or 60, depth 0 to 1",
-            )
 
     @property
     def flicker_hz(self) -> float:
@@ -78,21 +66,11 @@ class PwmLamps:
         pwm_hz: periods a second
         duty: share of each period for which the lamps are on
         depth: share of the scene's mean light that is theirs
-
-    Raises:
-        DataError: a number out of range
     """
 
     pwm_hz: float
     duty: float
     depth: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not (0 < self.pwm_hz < 1e9 and 1e-3 <= self.duty <= 1 and 0 <= self.depth <= 1):
-            raise DataError(
-                f"invalid lamps: pwm_hz {self.pwm_hz:g}, duty {self.duty:g}, depth {self.depth:g}",
-                hint="expected pwm_hz above 0, duty 0.001 to 1, depth 0 to 1",
-            )
 
     def swing(self, time_s: float) -> tuple[float, float]:
         """Return by which share of its mean the light of an exposure is less and more at most.

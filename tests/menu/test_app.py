@@ -45,13 +45,6 @@ def test_quitting_at_once_returns_no_summary() -> None:
     assert job.planned == []
 
 
-def test_again_plans_again() -> None:
-    job = FakeJob()
-    script = [*SHOOT, ("Done", Key.ENTER), ("Review", Key.ENTER)]
-    run(ScriptedPanel([*script, *quit_from("Done")]), lambda: job)
-    assert len(job.planned) == len(job.shot) == 2
-
-
 def test_a_time_budget_or_a_point_of_the_front_decides_the_exposures() -> None:
     job = FakeJob()
     down: Script = [("Exposures", Key.DOWN)] * 8
@@ -185,16 +178,6 @@ def test_series_is_chosen_and_taken_with_the_keys() -> None:
     (taken,) = job.series_taken
     assert (taken.count, taken.interval_s) == (20, 120.0)
     assert job.saved[-1].repeat == 3
-
-
-def test_series_is_taken_again_from_its_result() -> None:
-    job = FakeJob()
-    script: Script = [*TO_MENU, ("Take", Key.DOWN), (">Series", Key.ENTER)]
-    script += [("pictures", Key.DOWN), (">Every", Key.DOWN), (">Start", Key.ENTER)]
-    script += [("Done", Key.ENTER), *quit_from("Done")]  # "Again" is selected
-    run(ScriptedPanel(script), lambda: job)
-    first, second = job.series_taken
-    assert (first, job.shot) == (second, [])
 
 
 def test_series_is_cancelled_with_the_exit_key() -> None:

@@ -14,13 +14,13 @@ from camctl.interface.camera import Pixels
 from camctl.interface.controls import ExposureSetting
 from camctl.sim.backend import SimulatedBackend
 from camctl.sim.camera import SimulatedCamera
-from camctl.sim.data_files import read_text
-from camctl.sim.recorded_stream import RecordedStream, built_in_streams, load_stream
+from camctl.sim.data_files import built_in_files, read_text
+from camctl.sim.recorded_stream import RecordedStream, load_stream
 from camctl.sim.scenes.scene import load_scene
 from camctl.sim.sensors.sensor import load_sensor
 from camctl.sim.streaming_device import Buffer
 
-STREAMS = built_in_streams()
+STREAMS = tuple(built_in_files("streams"))
 
 
 @pytest.mark.parametrize("name", STREAMS)

@@ -49,23 +49,6 @@ def test_a_frame_depends_on_seed_and_number_but_not_on_threads(name: str) -> Non
     assert np.array_equal(one, other_frame) is not sensor.photon_noise
 
 
-def test_a_tile_is_the_same_in_a_larger_frame() -> None:
-    light = np.full(3 * TILE + 17, 3e5, dtype=np.float32)
-    large = Renderer(View(light), STANDARD, seed=1).frame(0.01, 1.0, 4)
-    small = Renderer(View(light[: TILE + 5]), STANDARD, seed=1).frame(0.01, 1.0, 4)
-    assert np.array_equal(large[: TILE + 5], small)
-
-
-def test_the_frame_of_a_seed_does_not_change_between_versions() -> None:
-    """Reports name the seed only, so that the same seed must give the same frame later."""
-    frame = frame_of(load_scene("ramp", (3, 4)), load_sensor("machine-vision"), seed=1)
-    assert frame.tolist() == [
-        [343, 893, 1438, 2067],
-        [355, 890, 1468, 2054],
-        [333, 904, 1499, 2037],
-    ]
-
-
 @given(
     st.sampled_from(sensor_names()),
     st.sampled_from([1.0, 4.0]),
@@ -171,32 +154,6 @@ def test_rendering_does_not_change_the_scene() -> None:
 def test_a_seed_out_of_range_is_refused(seed: int) -> None:
     with pytest.raises(UsageError, match=rf"invalid seed {seed}; expected 0 to 2\^64 - 1"):
         Renderer(View(np.ones(4, dtype=np.float32)), STANDARD, seed=seed)
-
-
-@pytest.mark.parametrize(
-    ("name", "gain"), [("machine-vision", 1.0), ("machine-vision", 4.0), ("phone", 1.0)]
-)
-def test_photon_transfer_measures_gain_and_read_noise(name: str, gain: float) -> None:
-    """EMVA 1288: variance over mean of pairs of flat frames has slope 1/K, read noise at 0."""
-    sensor = load_sensor(name)
-    means, variances = [], []
-    for step, filled in enumerate([0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5]):
-        photons = filled * sensor.full_scale_e / sensor.quantum_efficiency / gain
-        flat = Renderer(View(np.full(400_000, photons, dtype=np.float32)), sensor, seed=step)
-        first, second = (flat.frame(1.0, gain, number).astype(np.float64) for number in (0, 1))
-        means.append((first.mean() + second.mean()) / 2)
-        variances.append((first - second).var() / 2)
-    slope, offset = np.polyfit(means, variances, 1)
-    # The variance of a pair has an error of sqrt(2 / 400,000) = 0.22 %, the fit a little less.
-    assert 1 / slope == pytest.approx(sensor.electrons_per_dn / gain, rel=0.007)
-    quantisation = 1 / 12
-    dark = variances[0] - quantisation
-    assert np.sqrt(dark) == pytest.approx(
-        sensor.read_noise_e * gain / sensor.electrons_per_dn, rel=0.01
-    )
-    # With a phase of 1/2 the ADC rounds, so that the mean of dark frames is the black level.
-    assert means[0] == pytest.approx(sensor.black, abs=0.02)
-    assert offset == pytest.approx(variances[0] - slope * means[0], abs=0.02 * variances[-1])
 
 
 def test_sensitivity_converts_frames_to_the_units_of_the_map() -> None:

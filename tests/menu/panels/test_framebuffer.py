@@ -145,7 +145,7 @@ def test_input_devices_without_permission_are_shown_until_one_can_be_read(
         texts.append((*screen.title.texts, *screen.paragraphs))
         return draw(screen, columns, rows)
 
-    monkeypatch.setattr("camctl.menu.panels.framebuffer.draw", drawn)
+    monkeypatch.setattr("camctl.menu.panels.pixels.draw", drawn)
     with panel:
         panel.show(SCREEN)
         assert panel.key(0) is None

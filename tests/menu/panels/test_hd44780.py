@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import time
-
 import pytest
-from panel_fakes import FakeJob
 from simulated_gpio import Board
 from simulated_hd44780 import SimulatedHd44780
 
 from camctl.errors import UsageError
 from camctl.interface.clock import VirtualClock
-from camctl.menu.app import run
 from camctl.menu.layout import grid
 from camctl.menu.panels import gpio_keys
 from camctl.menu.panels.hd44780 import GLYPHS, Hd44780Panel, encoded
@@ -122,61 +118,3 @@ def test_bus_that_is_not_there_is_one_line() -> None:
     pytest.importorskip("smbus2", reason="smbus2 is not installed")
     with pytest.raises(PanelDisconnectedError, match=r"cannot open /dev/i2c-99: No such file"):
         Hd44780Panel("/dev/i2c-99").__enter__()
-
-
-def test_menu_goes_on_when_the_display_is_unplugged(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A capture with six buttons; the display is unplugged and comes back in the middle."""
-    clock = VirtualClock()
-    board = Board(clock)
-    monkeypatch.setattr(gpio_keys, "_gpiod", lambda: board.module)
-    chip = SimulatedHd44780(clock.now)
-    lines = "up=5,down=6,left=7,right=8,enter=9,exit=10"
-    panel = Hd44780Panel(f"/dev/i2c-1,size=20x4,{lines}", clock=clock, bus=chip)
-    job, absences, released_s = FakeJob(), [], [0.0]
-    script = [
-        ("[Set]", 9),
-        ("Desired", 9),
-        ("Dynamic", 0),
-        ("Dynamic", 9),
-        ("Exposures", 9),
-        ("[Shoot]", 9),
-        ("Done", 10),
-        ("[Set]", 10),
-        ("Quit the menu", 8),
-        ("[Quit]", 9),
-    ]
-
-    def press() -> None:
-        """Press the next button of the script once its text is on the display."""
-        assert clock.now() < 600, f"waits for {script[:1]}, shows {chip.rows(20, 4)}"
-        if not script or not chip.is_on or clock.now() < released_s[0]:
-            return
-        text, line = script[0]
-        if text in " ".join(chip.rows(20, 4)):
-            script.pop(0)
-            if line:
-                board.press(line, clock.now() + 0.001)
-                released_s[0] = clock.now() + 0.2
-            else:
-                chip.power_up()
-                chip.is_there = False
-
-    def wait(seconds: float) -> None:
-        absences.append(seconds)
-        clock.sleep_until(clock.now() + seconds)
-        chip.is_there = True
-
-    key = panel.key
-
-    def key_after_press(timeout_s: float) -> object:
-        if timeout_s:
-            time.sleep(0.002)  # the work of the menu is in real time
-            press()
-        return key(max(timeout_s, 0.05) if timeout_s else 0)
-
-    monkeypatch.setattr(panel, "key", key_after_press)
-    run(panel, lambda: job, now=clock.now, wait=wait)
-    assert not script
-    assert len(job.shot) == 1
-    assert absences
-    assert chip.lost == 0

@@ -87,6 +87,7 @@ def test_menu_is_operated_with_the_keys(start: Start) -> None:
     terminal.wait_for("camctl", "[Set]")
     terminal.type("\r")
     terminal.wait_for(">Constant contrast", "enter: take exit: back")
+    assert re.search(r"\x1b\[(0;)?7m>Constant contrast", terminal.raw)  # in reverse video
     terminal.type(DOWN)
     terminal.wait_for(">Linear")
     terminal.type(UP + "\r")
@@ -103,7 +104,7 @@ def test_menu_is_operated_with_the_keys(start: Start) -> None:
     terminal.wait_for("0.0033 s", "[Shoot]")
     terminal.type("\r")
     terminal.wait_for("Done", "97 effective levels, 98 planned")
-    terminal.type("q")
+    terminal.type("\x1b")
     terminal.wait_for("[Set]")
     terminal.type("q")
     terminal.wait_for("Quit the menu?")
@@ -125,28 +126,6 @@ def test_serial_console_without_arrow_keys_has_letters_and_digits(start: Start) 
     terminal.wait_for("Dynamic")
     terminal.type("h")
     terminal.wait_for(">Linear")
-
-
-def test_selected_line_is_shown_in_reverse_video(start: Start) -> None:
-    terminal = start(MENU)
-    terminal.wait_for("[Set]")
-    terminal.type("\r")
-    terminal.wait_for(">Constant contrast")
-    assert re.search(r"\x1b\[(0;)?7m>Constant contrast", terminal.raw)
-
-
-def test_escape_and_q_are_the_exit_key(start: Start) -> None:
-    terminal = start(MENU)
-    terminal.wait_for("[Set]")
-    terminal.type("\r")
-    terminal.wait_for(">Constant")
-    terminal.type("\x1b")
-    terminal.wait_for("[Set]")
-    terminal.type("q")
-    terminal.wait_for("Quit the menu?")
-    terminal.type(RIGHT + "\r")
-    assert terminal.wait_for_end() == 0
-    assert terminal.raw.endswith("returned None\r\n")
 
 
 @pytest.mark.parametrize("size", some([((16, 2),), ((20, 4),), ((23, 7),)], every=3))

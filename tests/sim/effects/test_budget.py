@@ -210,15 +210,6 @@ def test_a_bound_counts_only_light_that_does_not_fill_the_well() -> None:
     assert np.abs(off).max() <= bound
 
 
-def test_the_reason_of_an_overflow_is_a_sentence() -> None:
-    plan = {
-        one.name: one for one in plan_frame(a_shot("night-street", "complete", 4.0), 0.5).effects
-    }
-    assert "where full wells overflow" in plan["PRNU"].why
-    assert plan["mains flicker"].why == "over this exposure the light of the lamps averages out"
-    assert not plan["mains flicker"].ran
-
-
 def test_more_tolerance_leaves_out_at_least_as_much() -> None:
     shot = a_shot("colour-chart", "complete", 0.01)
     savings = [saving(tuple(plan_frame(shot, t).left_out), shot) for t in (0.05, 0.5, 4.0, 50.0)]
@@ -318,15 +309,6 @@ def test_the_own_bound_is_without_streaks_of_overflowing_wells() -> None:
             assert "DN where full wells overflow" in prnu.why
         else:
             assert prnu.own_dn == prnu.bound_dn
-
-
-def test_a_plan_is_made_once_for_an_exposure() -> None:
-    sensor = load_sensor("complete")
-    renderer = Renderer(View.of(load_scene("ramp", (60, 80)), sensor), sensor, tolerance_dn=0.5)
-    plans = [renderer.plan(renderer.shot(time_s, 1.0, k)) for k, time_s in enumerate((1e-3, 1e-3))]
-    assert plans[0] is plans[1]
-    assert renderer.plan(renderer.shot(1e-3, 1.0, 2), share=0.5) is not plans[0]
-    assert renderer.plan(renderer.shot(2e-3, 1.0, 2)) is not plans[0]
 
 
 def test_frames_with_hits_of_about_one_size_share_a_plan() -> None:

@@ -117,7 +117,7 @@ def test_the_frame_does_not_depend_on_threads_or_on_those_of_opencv(sensor: str)
 
 
 def test_the_frame_of_a_seed_does_not_change_between_versions() -> None:
-    """With every effect that is not computed by OpenCV, whose rounding may change."""
+    """Reports name the seed only.  Without what OpenCV computes, whose rounding may change."""
     plain = {"glare": 0.0, "blur_px": 0.0}
     sensor = load_sensor("ccd")
     update: dict[str, Any] = {"lens": sensor.lens.model_copy(update=plain)}

@@ -85,15 +85,11 @@ def test_a_radiance_map_beside_the_file_gets_the_units_of_the_file(tmp_path: Pat
         ({"photons_s": None}, "give either photons_s or luminance_cd_m2"),
         ({"luminance_cd_m2": 3}, "give either photons_s or luminance_cd_m2"),
         ({"photons_s": -1}, "photons_s: input should be greater than 0"),
-        ({"photons_s": float("nan")}, "photons_s: input should be a finite number"),
-        ({"name": None}, "name: input should be a valid string"),
         ({"lamps": {"mains_hz": 50, "depth": 1.5}}, "lamps.depth: input should be less than"),
-        ({"lamps": {"mains_hz": 50}}, "lamps.depth: field required"),
         ({"lamps": {"mains_hz": 0, "depth": 0.5}}, "lamps.mains_hz: input should be greater"),
         ({"target": {"crossing_s": 0}}, "target: crossing_s is less than a millisecond"),
         ({"target": {"sise": 1}}, "target.sise: unknown field"),
         ({"shape": [0, 5]}, "shape.0: input should be greater than or equal to 1"),
-        ({"lamp": {}}, "lamp: unknown field"),
     ],
 )
 def test_an_invalid_scene_file_is_one_line_of_error(
@@ -104,29 +100,6 @@ def test_an_invalid_scene_file_is_one_line_of_error(
         load_scene(path)
     assert f"{path}: {message}" in str(error.value)
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (None, "No such file"),
-        (b"[" * 60_000 + b"]" * 60_000, "not JSON: recursion limit exceeded at line 1"),
-        (b'{"name": ' + b"9" * 5000 + b"}", "not JSON: number out of range at line 1"),
-        (b"{", "not JSON: EOF while parsing an object at line 1"),
-        (b"[]", "input should be a valid dictionary"),
-        (b"\xff\xfe\x00", "it is not a text file"),
-    ],
-    ids=["missing", "nested", "long number", "not JSON", "a list", "binary"],
-)
-def test_a_file_that_is_no_scene_file_is_refused(
-    tmp_path: Path, content: bytes | None, message: str
-) -> None:
-    path = tmp_path / "bad.json"
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(DataError, match=message) as error:
-        load_scene(path)
-    assert f"{path}: {message}" in str(error.value)
 
 
 def test_a_drawing_larger_than_memory_is_refused_before_it_is_drawn(tmp_path: Path) -> None:
