@@ -70,8 +70,7 @@ REPORT = """\
 
 `report.json` in [the folder of a capture](folder.md), the output of `camctl shoot --json` and
 `camctl.CaptureReport` have these fields. A capture that lacks frames or pictures has the status
-"incomplete", and no `achieved`, `irradiance` and `movement`; where much of the metered light is
-outside its range it has that `light`, which the advice at its end is computed from.
+"incomplete", and no `achieved`, `irradiance` and `movement`.
 
 | field | type | meaning |
 |---|---|---|"""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
@@ -345,8 +345,6 @@ def _light_findings(
     are above it by `BLACK_SHARE` of one frame's levels.
     """
     saturated, plan = achieved.saturated_fraction, unfinished.plan
-    if unfinished.light is not None:
-        plan = replace(plan, scene=unfinished.light.light)
     # A comparison of integers: with a fraction, a copy in float64 would be made.
     least = int(unfinished.black_total + BLACK_SHARE * controls.levels.M)
     if np.count_nonzero(total > least) / total.size <= OUTLIER_SHARE:

@@ -24,7 +24,6 @@ from camctl.pictures.accumulator import sum_dtype
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.folder_store import FolderStore
 from camctl.records.frame_store import CaptureStore, MemoryStore
-from camctl.records.kept_light import KeptLight
 from camctl.records.report import CaptureReport, UnfinishedCapture
 from camctl.records.report_file import check_camera
 from camctl.system.number_text import range_text
@@ -113,7 +112,6 @@ def _begun(
         request=request,
         plan=plan,
         frames=[None] * len(plan.settings),
-        light=KeptLight.of(plan.scene),
         white=controls.white,
         black_total=controls.black * len(plan.settings),
         timing={},

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Protocol
@@ -21,7 +21,6 @@ from camctl.pictures.accumulator import sum_dtype
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.folder_store import read_report
 from camctl.records.journal import SeriesJournal, SetRecord
-from camctl.records.kept_light import KeptLight
 from camctl.records.report import CaptureReport, UnfinishedCapture
 from camctl.records.report_file import REPORT, read_report_file
 
@@ -51,14 +50,12 @@ class CameraSets:
         if journal.table_file is not None:
             self._table = ExposureTable.load(Path(journal.table_file), camera.controls.levels)
         self._plan = journal.plan
-        if self._plan is not None and journal.light is not None:
-            self._plan = replace(self._plan, scene=journal.light.light)
 
     def prepare(self, journal: SeriesJournal) -> float | None:
         """Make the plan of the first set, which is kept if all sets have it."""
         self._plan = self._plan or self._new_plan()
         if journal.options.meter == "once":
-            journal.plan, journal.light = self._plan, KeptLight.of(self._plan.scene)
+            journal.plan = self._plan
         return self._plan.wall_s
 
     def least_bytes(self) -> int:

@@ -21,7 +21,6 @@ from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import CameraInfo
 from camctl.records import REPORT, SERIES
 from camctl.records.capture_plan import CapturePlan
-from camctl.records.kept_light import KeptLight
 from camctl.records.report import CaptureReport
 from camctl.records.report_file import LOCK, is_unused
 from camctl.system.files import storage_error, write_bytes
@@ -215,7 +214,6 @@ class SeriesJournal(_Model):
         table_file: the exposure table that was given
         options: how the sets follow each other
         plan: the exposures of all sets where these are metered once
-        light: their metered light, where much of it is outside the range of the plan
         has_hook: whether a command was run after each set; it is not kept, since a file must not
             say which commands to run
         skipped: starts that were left out, since the set before took longer than the interval
@@ -229,7 +227,6 @@ class SeriesJournal(_Model):
     table_file: str | None = None
     options: SeriesOptions
     plan: CapturePlan | None = None
-    light: KeptLight | None = None
     has_hook: bool = False
     skipped: int = 0
     sets: list[SetRecord] = []

@@ -27,7 +27,6 @@ from camctl.model.noise import MeasuredNoise, NoiseModel
 from camctl.records.capture_plan import CapturePlan
 from camctl.records.frame import FrameRecord, SimulationSummary, StoredFrame
 from camctl.records.html import report_html
-from camctl.records.kept_light import KeptLight
 
 FORMAT_VERSION = 3
 """Version of report.json and of the folder's files."""
@@ -171,7 +170,6 @@ class UnfinishedCapture(_CaptureData):
     Attributes:
         frames: the frames of the sum, in the order of the plan's settings
         discarded: files of an earlier capture in the same folder that are removed
-        light: the metered light, where much of it is outside the range of the plan
     """
 
     model_config = ConfigDict(extra="ignore")  # a complete capture has more fields
@@ -179,7 +177,6 @@ class UnfinishedCapture(_CaptureData):
     status: Literal["incomplete"] = "incomplete"
     frames: list[StoredFrame | None]
     discarded: list[str] = Field(default_factory=list)
-    light: KeptLight | None = None
 
 
 class Pictures(Protocol):

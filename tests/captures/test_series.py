@@ -28,10 +28,8 @@ from camctl.errors import (
     UsageError,
 )
 from camctl.exposure.goal import CaptureRequest
-from camctl.records.folder_store import read_report
 from camctl.records.journal import (
     SeriesJournal,
-    SeriesOptions,
     SetRecord,
     read_series,
 )
@@ -319,24 +317,6 @@ def test_exposures_are_metered_once_or_for_each_set(
     found = camera_sets(3, meter="each")
     assert found.plan is None
     assert found.completed == 3
-
-
-def test_the_sets_of_a_resumed_series_get_the_advice_of_the_first(tmp_path: Path) -> None:
-    folder = tmp_path / "series"
-    request = CaptureRequest(dynamic_range=256.0, count=2, clip_percent=20.0)
-    with small_camera("standard", gradient()) as camera:
-        begun = journal(camera.info, request, repeat=1, meter="once")
-        Series(folder, begun, CameraSets(camera, begun), SeriesTools(camera.clock)).run()
-    more = SeriesOptions(repeat=2, meter="once")
-    found = read_series(folder).model_copy(update={"options": more})
-    with small_camera("standard", gradient()) as camera:
-        Series(folder, found, CameraSets(camera, found), SeriesTools(camera.clock)).run()
-    asked, again = (
-        [(each.code, each.remedies) for each in read_report(folder / record.folder).findings]
-        for record in found.sets
-    )
-    assert asked == again
-    assert [code for code, remedies in asked if remedies] == ["light_above_range"]
 
 
 def test_a_camera_that_is_unplugged_in_a_set_completes_it(camera_sets: Callable[..., Any]) -> None:

@@ -17,8 +17,6 @@ from camctl.errors import (
     StorageError,
 )
 from camctl.records.folder_store import read_report
-from camctl.records.report import UnfinishedCapture
-from camctl.records.report_file import read_report_file
 
 # Format version
 
@@ -42,30 +40,6 @@ def test_report_of_another_version_is_refused_by_name_and_its_frames_stay_readab
 
 
 # --force trusts nothing
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"shares": [0.5, 0.4]},
-        {"shares": [1.0]},
-        {"irradiance": [0.5, 0.25]},
-        {"irradiance": [0.0, 0.5]},
-        {"darkest": 1e400},
-    ],
-)
-def test_light_of_an_unfinished_capture_is_possible(tmp_path: Path, change: dict[str, Any]) -> None:
-    setting = {"time_s": 0.1}
-    metering = {"limit_s": 0.1, "setting": setting, "highlight": 1, "clipped": 0, "frames": 2}
-    kept = {"metering": metering, "last": setting, "has_shadows": True}
-    kept |= {"darkest": 0.01, "brightest": 1, "irradiance": [0.25, 0.5], "shares": [0.5, 0.5]}
-    edit(one_of_two(tmp_path), lambda report: report.update(light=kept))
-    report = read_report_file(tmp_path)
-    assert isinstance(report, UnfinishedCapture)
-    assert report.light is not None
-    edit(tmp_path, lambda report: report["light"].update(change))
-    with pytest.raises(DataError, match="light"):
-        read_report_file(tmp_path)
 
 
 # A report is hostile input
