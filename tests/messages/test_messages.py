@@ -36,16 +36,19 @@ _COMMAND_LINE = re.compile(r"(?<!\w)-{1,2}[a-zA-Z][\w-]*\b|\bcamctl [a-z]+")
 
 
 def words() -> str:
-    """Return the words of an example of each code, in the order of the codes."""
+    """Return the words of an example of each code, in the order of the codes.
+
+    Those of the command line and the menu where they are not the library's.
+    """
     parts = []
     for code in CODES:
-        finding = EXAMPLES[code]
-        parts.append(
-            f"{code}\n"
-            f"  plain:        {sentence(finding)}\n"
-            f"  command line: {finding_line(finding)}\n"
-            f"  menu:         {menu.finding_text(finding)}\n"
-        )
+        plain = sentence(EXAMPLES[code])
+        lines = [code, f"  plain:        {plain}"]
+        fronts = {"command line": finding_line, "menu": menu.finding_text}
+        for name, words_of in fronts.items():
+            if (text := words_of(EXAMPLES[code])) != plain:
+                lines.append(f"  {f'{name}:':13} {text}")
+        parts.append("\n".join(lines) + "\n")
     return "\n".join(parts)
 
 
