@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import socket
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -16,8 +15,6 @@ import serial
 from error_lines import one_line
 
 from camctl.drivers.common.serial_link import SerialLink
-from camctl.drivers.coolpix.sierra.packets import Register
-from camctl.drivers.coolpix.sierra.session import Sierra
 from camctl.errors import (
     CameraBusyError,
     CameraDisconnectedError,
@@ -26,7 +23,6 @@ from camctl.errors import (
     CameraTimeoutError,
     UsageError,
 )
-from camctl.interface.clock import RealClock
 
 
 @pytest.fixture
@@ -200,39 +196,3 @@ class TestLine:
         link = SerialLink(pty[1], 19200)
         with closing(link), pytest.raises(CameraTimeoutError, match="accepted no data"):
             link.write(bytes(1 << 20))
-
-
-class TestOtherUrls:
-    def test_a_line_that_echoes_is_no_camera(self) -> None:
-        with closing(SerialLink("loop://", 19200)) as link, pytest.raises(CameraTimeoutError):
-            Sierra(link, RealClock(), timeout_s=0.5).open()
-
-    def test_a_camera_behind_a_socket_keeps_its_speed(self) -> None:
-        listener = socket.create_server(("127.0.0.1", 0))
-
-        def serve() -> None:
-            line, _ = listener.accept()
-            with line:
-                received = b""
-                while part := line.recv(100):
-                    received += part
-                    if received == b"\0":
-                        line.sendall(b"\x15")
-                    elif received[:2] == b"\x1b\x53" and len(received) == 8:
-                        line.sendall(b"\x03\x00\x04\x00\x07\x00\x00\x00\x07\x00")
-                    elif received == b"\x06":
-                        return
-                    else:
-                        continue
-                    received = b""
-
-        thread = threading.Thread(target=serve)
-        thread.start()
-        url = f"socket://127.0.0.1:{listener.getsockname()[1]}"
-        with closing(listener), closing(SerialLink(url, 19200)) as link:
-            sierra = Sierra(link, RealClock(), timeout_s=30.0)
-            sierra.open()
-            assert sierra.get(Register.PICTURES) == 7
-            thread.join()
-            with pytest.raises(CameraDisconnectedError):
-                sierra.get(Register.PICTURES)

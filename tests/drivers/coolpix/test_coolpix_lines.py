@@ -12,12 +12,11 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import serial
-from coolpix_bench import SETTINGS, check_unplugged, coolpix_on, shoot, virtual_coolpix
-from error_lines import one_line
+from coolpix_bench import SETTINGS, coolpix_on, shoot, virtual_coolpix
 
 from camctl.drivers.coolpix.backend import CoolpixBackend, probe_lines
 from camctl.drivers.coolpix.camera import CoolpixCamera, CoolpixOptions
-from camctl.errors import CameraBusyError, CameraDisconnectedError, CameraNotFoundError, UsageError
+from camctl.errors import CameraDisconnectedError, CameraNotFoundError, UsageError
 from camctl.sim.devices.clock import RealDeviceClock
 from camctl.sim.devices.sierra.device import SierraDevice
 
@@ -84,17 +83,6 @@ class TestRealTime:
             assert camera.info.id == f"coolpix:{url}"
             assert len(shoot(camera)) == 2
         assert "1B 53" in capsys.readouterr().err
-
-    def test_an_unplugged_line_is_reported(self, device: SierraDevice) -> None:
-        check_unplugged(device)
-
-    def test_a_second_program_is_refused(self, device: SierraDevice) -> None:
-        with (
-            coolpix_on(device),
-            pytest.raises(CameraBusyError, match="another process holds it") as caught,
-        ):
-            coolpix_on(device)
-        one_line(caught.value)
 
 
 class TestOpening:
