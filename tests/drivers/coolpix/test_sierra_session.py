@@ -1,4 +1,4 @@
-"""The Sierra protocol with a small model of a camera, in virtual time."""
+"""The Sierra protocol with a virtual CoolPix on a damaged line, in virtual time."""
 
 from __future__ import annotations
 
@@ -7,18 +7,7 @@ from collections.abc import Callable
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from sierra_model import (
-    ACK,
-    DC1,
-    END,
-    NAK,
-    PICTURE,
-    Camera,
-    closed_session,
-    line_of,
-    line_to,
-    session,
-)
+from sierra_model import ACK, DC1, END, NUL, PICTURE, Camera, session
 
 from camctl.drivers.coolpix.sierra.packets import (
     Action,
@@ -46,6 +35,15 @@ def is_second_packet(answer: bytes) -> bool:
     return answer[:2] == b"\x02\x01"
 
 
+def check_second_packet(damage: Callable[[bytes], bytes]) -> None:
+    """Read a picture whose second packet is damaged once."""
+    camera = Camera(PICTURE)
+    sierra = session(camera)
+    fails = first_time(is_second_packet)
+    camera.transmit = lambda answer: damage(answer) if fails(answer) else answer
+    assert sierra.read(Register.PICTURE_DATA, 1 << 20) == PICTURE
+
+
 class TestPackets:
     def test_a_command_as_in_the_description_of_the_protocol(self) -> None:
         assert command_packet(b"\x00\x11\x05\0\0\0", first=True).hex(" ") == (
@@ -59,124 +57,120 @@ class TestPackets:
     @example(b"\x02\x00\xff\xff" + bytes(5000))
     @example(b"\x03\x00\x04\x00abcd\xff\xff")
     def test_arbitrary_bytes_are_packets_or_damaged(self, stream: bytes) -> None:
-        line, link, _ = line_to(Camera())
-        line.buffer += stream
+        camera = Camera()
+        link = camera.link()
+        camera.send(stream)
         for _ in range(len(stream) + 1):
             reply = receive(link, 1.0)
             if reply is None:
                 break
             assert reply.kind is None or len(reply.data) <= 2048
-        assert not line.buffer
-        assert line.read_bytes == len(stream)
+        assert not link.read_waiting(1)
 
 
 class TestSessions:
     def test_only_the_first_command_of_a_session_is_marked(self) -> None:
         camera = Camera()
-        sierra, _ = session(camera)
-        sierra.get(Register.PICTURES)
-        assert [subtype for subtype, _ in camera.commands] == [0x53, 0x43, 0x43]
+        subtypes = []
+
+        def receive(data: bytes) -> None:
+            subtypes.extend(data[1:2] if data[:1] == b"\x1b" else b"")
+            camera.device.received(data)
+
+        camera.receive = receive
+        session(camera).get(Register.PICTURES)
+        assert subtypes == [0x53, 0x43, 0x43]
 
     def test_a_refused_speed_is_replaced_by_a_lower_one(self) -> None:
-        camera = Camera(speeds=(1, 2, 3))
-        sierra, _ = session(camera)
-        assert sierra.link.speed == camera.speed == 38400
+        camera = Camera(speed_limit=38400)
+        assert session(camera).link.speed == camera.device.speed == 38400
 
     def test_a_camera_that_refuses_all_speeds_stays_at_the_first(self) -> None:
-        camera = Camera(speeds=())
-        sierra, _ = session(camera)
-        assert sierra.link.speed == camera.speed == 19200
-        assert sierra.text(Register.MODEL) == "COOLPIX990"
+        camera = Camera()
+        camera.device.do("no_speed")
+        sierra = session(camera)
+        assert sierra.link.speed == camera.device.speed == 19200
+        assert sierra.text(Register.MODEL) == "E990"
 
     def test_a_speed_at_which_the_line_fails_is_replaced_by_a_lower_one(self) -> None:
         camera = Camera()
 
-        def receive_slow_only(data: bytes, speed: int) -> bytes:
-            if speed > 57600:
-                camera.restart()  # as after some seconds without a valid packet
-                return b""
-            return camera._receive(data, speed)
+        def receive_slow_only(data: bytes) -> None:
+            if camera.line.host_speed > 57600:
+                camera.device.do("break")  # as after some seconds without a valid packet
+            else:
+                camera.device.received(data)
 
         camera.receive = receive_slow_only
-        sierra, _ = session(camera)
-        assert sierra.link.speed == camera.speed == 57600
+        assert session(camera).link.speed == camera.device.speed == 57600
 
     def test_a_camera_in_a_session_at_another_speed_is_found(self) -> None:
-        camera = Camera()
-        camera.speed, camera.in_session = 57600, True
-        sierra, _ = session(camera)
-        assert sierra.text(Register.MODEL) == "COOLPIX990"
+        camera = Camera(silence_s=3600.0)
+        camera.device.received(NUL)
+        camera.device.speed = 57600
+        assert session(camera).text(Register.MODEL) == "E990"
 
     def test_an_incomplete_command_of_another_program_does_no_harm(self) -> None:
         camera = Camera()
-        camera.in_session = True
-        camera.receive(command_packet(b"\x01\x0a")[:5], 19200)
-        camera.in_session = False
-        sierra, _ = session(camera)
-        assert sierra.get(Register.PICTURES) == 0
+        camera.device.received(NUL + command_packet(b"\x01\x0a")[:5])
+        assert session(camera).get(Register.PICTURES) == 0
 
     def test_a_silent_line_is_given_up_after_the_time_out(self) -> None:
         camera = Camera()
-        camera.receive = lambda data, speed: b""
-        sierra, clock = closed_session(camera, timeout_s=7.0)
+        camera.device.do("hang")
         with pytest.raises(CameraTimeoutError, match=r"not answered for 7 s; check that it is on"):
-            sierra.open()
-        assert clock.now() <= 7.5
+            session(camera, timeout_s=7.0)
+        assert camera.clock.now() <= 7.5
 
     def test_a_line_that_echoes_is_given_up_after_the_time_out(self) -> None:
         camera = Camera()
-        camera.receive = lambda data, speed: data
-        sierra, clock = closed_session(camera, timeout_s=10.0)
+        camera.receive = camera.send
         with pytest.raises(CameraTimeoutError):
-            sierra.open()
-        assert clock.now() <= 10.5
+            session(camera, timeout_s=10.0)
+        assert camera.clock.now() <= 10.5
 
     def test_a_session_that_the_camera_has_ended_is_opened_again_at_once(self) -> None:
         camera = Camera()
-        sierra, clock = session(camera)
-        camera.restart()
-        line_of(sierra).buffer += END
-        before = clock.now()
+        sierra = session(camera)
+        camera.device.do("break")
+        camera.send(END)
+        before = camera.clock.now()
         assert sierra.get(Register.PICTURES) == 0
-        assert clock.now() - before < 1.0
+        assert camera.clock.now() - before < 1.0
 
     def test_a_new_session_selects_the_picture_again(self) -> None:
-        camera = Camera()
-        camera.data[14] = PICTURE
-        sierra, _ = session(camera)
+        camera = Camera(PICTURE, PICTURE)
+        sierra = session(camera)
         selected = []
         fails = first_time(is_second_packet)
 
         def transmit(answer: bytes) -> bytes:
             if fails(answer):
-                camera.restart()
-                camera.numbers[4] = 0
+                camera.device.do("break")
+                camera.device.camera.write(Register.PICTURE, 0)
                 return b""
             if answer[:2] == b"\x02\x00":
-                selected.append(camera.numbers[4])
+                selected.append(camera.device.camera.read(Register.PICTURE))
             return answer
 
         camera.transmit = transmit
-        assert sierra.read(Register.PICTURE_DATA, 1 << 20, picture=7) == PICTURE
-        assert selected == [7, 7]
+        assert sierra.read(Register.PICTURE_DATA, 1 << 20, picture=1) == PICTURE
+        assert selected == [1, 1]
 
 
 class TestCommands:
     def test_sequence_numbers_of_more_than_256_packets_wrap_around(self) -> None:
-        camera = Camera()
-        camera.data[14] = bytes(2048 * 300)
-        sierra, _ = session(camera)
+        sierra = session(Camera(bytes(2048 * 300)))
         assert len(sierra.read(Register.PICTURE_DATA, 1 << 20)) == 2048 * 300
 
     def test_a_refused_register_has_its_own_error(self) -> None:
-        sierra, _ = session(Camera())
         with pytest.raises(RefusedCommandError):
-            sierra.get(Register.BATTERY_PERCENT)
+            session(Camera()).get(Register.PICTURE_BYTES)
 
     def test_a_command_always_answered_with_nak_is_an_error(self) -> None:
         camera = Camera()
-        sierra, _ = session(camera)
-        camera.command = lambda subtype, payload, tail: NAK
+        sierra = session(camera)
+        camera.device.do("nak", count=1000)
         with pytest.raises(CameraProtocolError, match="it does not acknowledge commands"):
             sierra.set(Register.SHUTTER_US, 4000)
 
@@ -189,79 +183,61 @@ class TestCommands:
         self, answer: bytes, kind: type[CameraError]
     ) -> None:
         camera = Camera()
-        sierra, clock = session(camera, timeout_s=10.0)
-        camera.transmit = lambda _: answer
-        before = clock.now()
+        sierra = session(camera, timeout_s=10.0)
+        answers = iter([answer])
+        camera.transmit = lambda _: next(answers, b"")
+        before = camera.clock.now()
         with pytest.raises(kind):
             sierra.act(Action.TAKE_PICTURE, wait_s=4.0)
-        assert camera.taken == 1
-        assert clock.now() - before <= 14.5
+        assert camera.clock.now() - before <= 14.5
+        camera.device.body.wait()
+        assert len(camera.device.camera.pictures) == 1
 
     def test_an_action_refused_after_its_acknowledgement_is_refused(self) -> None:
         camera = Camera()
-        sierra, _ = session(camera)
+        sierra = session(camera)
         camera.transmit = lambda _: ACK + DC1
         with pytest.raises(RefusedCommandError):
             sierra.act(Action.TAKE_PICTURE)
 
     @pytest.mark.parametrize("at", [0, 2, 3, 4, 100, 2051, 2052])
     def test_a_damaged_packet_is_requested_again(self, at: int) -> None:
-        camera = Camera()
-        camera.data[14] = PICTURE
-        sierra, _ = session(camera)
-        fails = first_time(is_second_packet)
-
-        def transmit(answer: bytes) -> bytes:
-            if fails(answer):
-                return answer[:at] + bytes((answer[at] ^ 0x40,)) + answer[at + 1 :]
-            return answer
-
-        camera.transmit = transmit
-        assert sierra.read(Register.PICTURE_DATA, 1 << 20) == PICTURE
+        check_second_packet(
+            lambda answer: answer[:at] + bytes((answer[at] ^ 0x40,)) + answer[at + 1 :]
+        )
 
     @pytest.mark.parametrize("kept", [0, 1, 3, 4, 500, 2053])
     def test_an_incomplete_packet_is_requested_again(self, kept: int) -> None:
-        camera = Camera()
-        camera.data[14] = PICTURE
-        sierra, _ = session(camera)
-        fails = first_time(is_second_packet)
-        camera.transmit = lambda answer: answer[:kept] if fails(answer) else answer
-        assert sierra.read(Register.PICTURE_DATA, 1 << 20) == PICTURE
+        check_second_packet(lambda answer: answer[:kept])
 
-    def test_a_packet_that_comes_twice_counts_once(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        camera = Camera()
-        camera.data[14] = PICTURE
-        sierra, _ = session(camera)
-        line = line_of(sierra)
-        write = line.write
-        is_lost = first_time(lambda data: data == ACK and bool(camera.outgoing))
+    def test_a_packet_that_comes_twice_counts_once(self) -> None:
+        camera = Camera(PICTURE)
+        sierra = session(camera)
+        is_lost = first_time(lambda data: data == ACK and bool(camera.device._outgoing))
 
         def lose_an_acknowledgement(data: bytes) -> None:
             if not is_lost(data):
-                write(data)
+                camera.device.received(data)
 
-        monkeypatch.setattr(line, "write", lose_an_acknowledgement)
+        camera.receive = lose_an_acknowledgement
         assert sierra.read(Register.PICTURE_DATA, 1 << 20) == PICTURE
 
     def test_a_missing_packet_is_an_error(self) -> None:
-        camera = Camera()
-        camera.data[14] = PICTURE
-        sierra, _ = session(camera)
+        camera = Camera(PICTURE)
+        sierra = session(camera)
 
-        def leave_one_out(data: bytes) -> bytes:
-            camera._packets(data)
-            if len(camera.outgoing) > 2:
-                del camera.outgoing[1]
-            return camera.outgoing[0]
+        def leave_one_out(answer: bytes) -> bytes:
+            if answer[:2] == b"\x02\x00":
+                del camera.device._outgoing[1]
+            return answer
 
-        camera.packets = leave_one_out
+        camera.transmit = leave_one_out
         with pytest.raises(CameraProtocolError, match="packet 2 came instead of 1"):
             sierra.read(Register.PICTURE_DATA, 1 << 20)
 
     def test_more_data_than_allowed_is_an_error(self) -> None:
-        camera = Camera()
-        camera.data[14] = bytes(1 << 20)
-        sierra, _ = session(camera)
+        camera = Camera(bytes(1 << 20))
+        sierra = session(camera)
         with pytest.raises(CameraProtocolError, match="more than 5000 bytes"):
             sierra.read(Register.PICTURE_DATA, 5000)
-        assert line_of(sierra).read_bytes < 20_000
+        assert camera.sent < 20_000
