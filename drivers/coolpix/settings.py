@@ -35,22 +35,10 @@ CANDIDATES_US: tuple[int, ...] = tuple(
 )
 
 
-@dataclass(frozen=True)
-class Aperture:
-    """A setting of the aperture: possible register values, and assumed f-number."""
-
-    codes: tuple[int, ...]
-    f_number: float
-
-
 # The lens is marked 1:2.5-4 and closes in ten settings a third of a stop apart.  These f-numbers
 # hold at the wide end of the zoom; at the long end they are 1.6 times as large.  Descriptions of
 # the protocol give different register values for "high".
-APERTURES = (
-    Aperture((1,), 2.5),
-    Aperture((2,), 4.0),
-    Aperture((3, 4), 7.0),
-)
+_APERTURE_CODES = {2.5: (1,), 4.0: (2,), 7.0: (3, 4)}
 
 
 @dataclass(frozen=True)
@@ -151,10 +139,10 @@ def find_apertures(sierra: Sierra) -> dict[float, int]:
     if before is None:
         return {}
     found = {}
-    for aperture in APERTURES:
-        for code in aperture.codes:
+    for f_number, codes in _APERTURE_CODES.items():
+        for code in codes:
             if accepts(sierra, Register.APERTURE, code):
-                found[aperture.f_number] = code
+                found[f_number] = code
                 break
     sierra.set(Register.APERTURE, before)
     return found

@@ -9,14 +9,15 @@ from camctl.drivers.common.serial_link import SerialLink
 from camctl.drivers.coolpix.sierra.session import Sierra
 from camctl.sim.devices.clock import VirtualDeviceClock
 from camctl.sim.devices.sierra.device import make
+from camctl.sim.devices.sierra.protocol_memory import MemoryLine
 from camctl.sim.devices.still_body import ImageFile
 
 NUL, ACK, DC1, END = b"\0", b"\x06", b"\x11", b"\xff"
 PICTURE = bytes(range(256)) * 20
 
 
-class Camera:
-    """A camera with pictures of these bytes on its card.
+class Camera(MemoryLine):
+    """A camera with pictures of these bytes on its card, and the line to it.
 
     Tests replace `receive`, which is called with what the host sends, and `transmit`, which returns
     what becomes of an answer.
@@ -25,31 +26,28 @@ class Camera:
         sent: how many bytes went to the host
     """
 
+    clock: VirtualDeviceClock
+
     def __init__(self, *pictures: bytes, **config: Any) -> None:
-        self.clock = VirtualDeviceClock()
+        super().__init__(lambda data: self.receive(data), VirtualDeviceClock())
         own = {"scene": "ramp", "sensor": "ideal-8", "size": "8x8", "line": "memory", **config}
         self.device = make(own, self.clock)
+        self.device.line = self
         self.device.camera.pictures += [
             ImageFile("jpeg", "DSCN0001.JPG", data, 8, 8, 24) for data in pictures
         ]
         self.device.attach()
-        self.line: Any = self.device.line
         self.sent = 0
         self.receive: Callable[[bytes], None] = self.device.received
         self.transmit: Callable[[bytes], bytes] = lambda answer: answer
-        self._send: Callable[[bytes], None] = self.line.send
-        self.line.received = lambda data: self.receive(data)
-        self.line.send = self.send
 
     def send(self, data: bytes, speed: int = 0) -> None:
-        """Send an answer through `transmit`."""
-        del speed
         damaged = self.transmit(data)
         self.sent += len(damaged)
-        self._send(damaged)
+        super().send(damaged)
 
     def link(self) -> SerialLink:
-        return SerialLink(self.line.path, 19200)
+        return SerialLink(self.path, 19200)
 
 
 def session(camera: Camera, **arguments: Any) -> Sierra:

@@ -16,13 +16,12 @@ from coolpix_bench import (
     virtual_coolpix,
 )
 
-from camctl.drivers.common.known_format import FormatChangedError
 from camctl.drivers.coolpix.camera import CoolpixCamera
 from camctl.drivers.coolpix.settings import CANDIDATES_US
 from camctl.interface.camera import Camera
 from camctl.interface.colour import BT709
 from camctl.interface.controls import ExposureSetting, Layout
-from camctl.profiles.profile import StillRecord, change_profile, load_profile
+from camctl.profiles.profile import StillRecord, change_profile
 from camctl.sim.devices.sierra.config import SHUTTER_US
 from camctl.sim.devices.sierra.device import SierraDevice
 from camctl.stills.decoding import read_still
@@ -166,14 +165,6 @@ class TestPictures:
 class TestFileFormat:
     """The format of the frames is known before the first frame."""
 
-    def test_a_new_camera_takes_one_test_picture(self, device: SierraDevice) -> None:
-        with coolpix_on(device) as camera:
-            controls = camera.controls
-            assert "was taken to learn the format of its files" in "\n".join(controls.notes)
-            assert camera.controls.notes == controls.notes
-        assert len(device.camera.pictures) == 1
-        assert (controls.shape, controls.layout) == ((24, 32), Layout.RGB)
-
     def test_the_newest_picture_of_the_same_format_replaces_the_test_picture(
         self, device: SierraDevice, own_profiles: Path
     ) -> None:
@@ -191,26 +182,3 @@ class TestFileFormat:
             shoot(camera, SETTINGS[:1])
         with coolpix_on(device, format="jpeg") as camera:
             assert "was taken to learn" in "\n".join(camera.controls.notes)
-
-    def test_the_profile_replaces_the_test_picture(self, device: SierraDevice) -> None:
-        with coolpix_on(device) as camera:
-            info = camera.info
-            shoot(camera, SETTINGS[:1])
-        taken = len(device.camera.pictures)
-        assert load_profile(info).stills["tiff"].columns == 32
-        with coolpix_on(device) as camera:
-            assert camera.controls.shape == (24, 32)
-        assert len(device.camera.pictures) == taken
-
-    def test_a_wrong_profile_is_corrected_by_the_first_file(self, device: SierraDevice) -> None:
-        record = StillRecord(rows=1, columns=2, layout=Layout.RGB, bits=8, black=0, white=255)
-        with coolpix_on(device) as camera:
-            info = camera.info
-        change_profile(info, lambda found: found.stills.update(tiff=record))
-        with coolpix_on(device) as camera:
-            assert camera.controls.shape == (1, 2)
-            with pytest.raises(FormatChangedError, match="has 32 x 24 samples"):
-                shoot(camera)
-            assert camera.controls.shape == (24, 32)
-            assert len(shoot(camera)) == 2
-        assert load_profile(info).stills["tiff"].rows == 24

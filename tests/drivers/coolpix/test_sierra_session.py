@@ -71,7 +71,7 @@ class TestPackets:
 class TestSessions:
     def test_only_the_first_command_of_a_session_is_marked(self) -> None:
         camera = Camera()
-        subtypes = []
+        subtypes: list[int] = []
 
         def receive(data: bytes) -> None:
             subtypes.extend(data[1:2] if data[:1] == b"\x1b" else b"")
@@ -96,7 +96,7 @@ class TestSessions:
         camera = Camera()
 
         def receive_slow_only(data: bytes) -> None:
-            if camera.line.host_speed > 57600:
+            if (camera.host_speed or 0) > 57600:
                 camera.device.do("break")  # as after some seconds without a valid packet
             else:
                 camera.device.received(data)

@@ -16,9 +16,7 @@ from camctl.drivers.genicam.port import Library
 from camctl.errors import (
     CameraBusyError,
     CameraClosedError,
-    CameraDisconnectedError,
     CameraError,
-    CameraTimeoutError,
     UsageError,
 )
 from camctl.interface.camera import Frame, MeasuredDelay
@@ -359,14 +357,6 @@ def test_lost_control_is_an_error(library: Library, device: GigeCamera) -> None:
         with pytest.raises(CameraError) as error:
             shot(camera, settings(camera, 0.002, 0.004))
         assert "\n" not in str(error.value)
-
-
-@pytest.mark.slow
-def test_silent_camera_is_an_error(library: Library, device: GigeCamera) -> None:
-    with opened(device, library, silence_s=1.0) as camera:
-        device.do("freeze")
-        with pytest.raises((CameraTimeoutError, CameraDisconnectedError)):
-            shot(camera, settings(camera, 0.002, 0.004))
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import product
@@ -48,13 +48,6 @@ def assert_light_of_settings(frames: Sequence[Frame]) -> None:
     light = [frame.pixels.mean() for frame in frames]
     assert light[1] / light[0] == pytest.approx(2, rel=0.1)
     assert light[2] / light[0] == pytest.approx(0.5, rel=0.1)
-
-
-def waited_s(camera: PtpCamera, act: Callable[[], object]) -> float:
-    """Return how long `act` takes on the camera's clock."""
-    began_s = camera.clock.now()
-    act()
-    return camera.clock.now() - began_s
 
 
 PASSING = {
@@ -117,30 +110,24 @@ class TestPassingFaults:
 
 class TestLastingFaults:
     @pytest.mark.parametrize("vendor", VENDORS)
-    def test_a_camera_that_stays_busy_is_reported_in_time(self, vendor: str) -> None:
+    @pytest.mark.parametrize(
+        ("fault", "error", "most_s"),
+        [
+            ({"command": "busy", "count": -1}, CameraBusyError, 1.1 * NORMAL_S),
+            ({"command": "hang"}, CameraTimeoutError, 2 * NORMAL_S + 1),
+        ],
+        ids=["busy", "hang"],
+    )
+    def test_a_camera_that_stays_busy_or_hangs_is_reported_in_time_and_used_again(
+        self, vendor: str, fault: dict[str, Any], error: type[CameraError], most_s: float
+    ) -> None:
         with camera_on(vendor=vendor) as (camera, device):
             settings = settings_at(camera, 1 / 125)
-            device.do("busy", count=-1)
-
-            def fail() -> None:
-                with pytest.raises(CameraBusyError):
-                    shoot(camera, settings)
-
-            assert NORMAL_S <= waited_s(camera, fail) < 1.1 * NORMAL_S
-            device.do("ok")
-            assert len(shoot(camera, settings)) == 1
-
-    @pytest.mark.parametrize("vendor", VENDORS)
-    def test_a_camera_that_hangs_is_reported_in_time_and_used_again(self, vendor: str) -> None:
-        with camera_on(vendor=vendor) as (camera, device):
-            settings = settings_at(camera, 1 / 125)
-            device.do("hang")
-
-            def fail() -> None:
-                with pytest.raises(CameraTimeoutError):
-                    shoot(camera, settings)
-
-            assert NORMAL_S <= waited_s(camera, fail) < 2 * NORMAL_S + 1
+            device.do(**fault)
+            began_s = camera.clock.now()
+            with pytest.raises(error):
+                shoot(camera, settings)
+            assert NORMAL_S <= camera.clock.now() - began_s < most_s
             device.do("ok")
             assert len(shoot(camera, settings)) == 1
 

@@ -17,11 +17,9 @@ from hypothesis import strategies as st
 from camctl.drivers.ptp.transport import DATA, RESPONSE, IncompleteDataError
 from camctl.drivers.ptp.usb_transport import UsbTransport
 from camctl.errors import (
-    CameraDisconnectedError,
     CameraError,
     CameraNotFoundError,
     CameraProtocolError,
-    CameraTimeoutError,
 )
 from camctl.interface.clock import VirtualClock
 
@@ -181,11 +179,6 @@ class TestReceiving:
         assert len(pipes.receive(3, limit=1000).payload) == 3 * PACKET - 12
         assert pipes.receive(3, limit=0).code == OK
 
-    def test_no_read_is_smaller_than_a_packet(self) -> None:
-        pipes, device = transport([container(DATA, 0x1009, 3, bytes(1000)), RESPONSE_3])
-        pipes.receive(3, limit=1000)
-        assert all(size % PACKET == 0 for size in device.bulk_in.reads)
-
     def test_containers_of_earlier_transactions_are_discarded(self) -> None:
         earlier = [container(RESPONSE, 0x2002, 1), container(DATA, 1, 2, b"x")]
         pipes, _ = transport([*earlier, RESPONSE_3])
@@ -208,16 +201,6 @@ class TestReceiving:
         with pytest.raises(IncompleteDataError, match="sent 300 of 512 bytes"):
             pipes.receive(3, limit=1000)
         assert pipes.receive(3, limit=0).code == OK
-
-    def test_silence_is_a_time_out(self) -> None:
-        pipes, _ = transport([])
-        with pytest.raises(CameraTimeoutError):
-            pipes.receive(3, limit=10)
-
-    def test_a_pulled_plug_is_a_disconnection(self) -> None:
-        pipes, _ = transport([errno.ENODEV])
-        with pytest.raises(CameraDisconnectedError):
-            pipes.receive(3, limit=10)
 
 
 class TestSending:
@@ -274,10 +257,6 @@ class TestEvents:
 
 
 class TestInterface:
-    def test_a_configuration_that_is_set_is_not_set_again(self) -> None:
-        _, device = transport()
-        assert device.times_configured == 0
-
     def test_a_device_without_a_configuration_gets_one(self) -> None:
         device = Device()
         device.is_configured = False

@@ -173,11 +173,6 @@ class TestOpening:
             assert (pixels[..., 1] == pixels[..., 0] // 2).all()
             assert (pixels[..., 2] == pixels[..., 0] // 4).all()
 
-    @pytest.mark.parametrize("code", ["YU12", "YV12", "NV12"])
-    def test_luma_of_planar_formats(self, code: str) -> None:
-        with open_model(Model(formats=(code,))) as camera:
-            assert ticks_of(one_frame(camera, 160).pixels) == 160
-
     @pytest.mark.parametrize(
         ("options", "mode"),
         [

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from v4l2_bench import one_frame, open_model, opening_error
-from v4l2_model import COLUMNS, ROWS, Model, brightness
+from v4l2_model import Model, brightness
 
 from camctl.errors import CameraError, CameraProtocolError, UsageError
 from camctl.interface.controls import Layout, ResponseOrigin
@@ -56,6 +56,9 @@ class TestFormats:
             ("BA81", 8, Layout.BGGR),
             ("GREY", 8, Layout.MONO),
             ("YUYV", 8, Layout.MONO),
+            ("YU12", 8, Layout.MONO),
+            ("YV12", 8, Layout.MONO),
+            ("NV12", 8, Layout.MONO),
         ],
     )
     def test_samples_are_not_changed(self, code: str, bits: int, layout: Layout) -> None:
@@ -180,11 +183,6 @@ class TestFormats:
     def test_unreadable_formats_are_refused(self) -> None:
         message = opening_error(CameraError, Model(formats=("H264", "\1\2\3\4")))
         assert "offers no pixel format that camctl can read, only H264, ????" in message
-
-    def test_default_is_the_largest_size(self) -> None:
-        model = Model(sizes=((4, 2), (COLUMNS, ROWS), (6, 4)))
-        with open_model(model) as camera:
-            assert camera.controls.shape == (ROWS, COLUMNS)
 
 
 def _of_upper_bits(monkeypatch: pytest.MonkeyPatch, light: NDArray[np.float64]) -> None:

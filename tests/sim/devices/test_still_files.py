@@ -9,8 +9,6 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from camctl.errors import UsageError
@@ -131,23 +129,6 @@ def test_the_channels_of_a_jpeg_are_in_order() -> None:
     blue, _, red = decode_jpeg(data, cv2.IMREAD_COLOR)[16, 16]
     assert red > 240
     assert blue < 15
-
-
-@given(st.floats(1e-6, 100))
-@settings(max_examples=50)
-def test_a_jpeg_states_its_exposure_time(time_s: float) -> None:
-    data = encode("jpeg", raw_image(time_s=time_s, shape=(8, 8)))
-    assert data[2:4] == b"\xff\xe1"
-    length = int.from_bytes(data[4:6], "big")
-    assert data[6:12] == b"Exif\0\0"
-    # The rest of the segment is a TIFF file without a picture; its EXIF directory has the time.
-    tiff = data[12 : 4 + length]
-    entry = int.from_bytes(tiff[18:22], "little")
-    tag, kind = (int.from_bytes(tiff[entry + i : entry + i + 2], "little") for i in (2, 4))
-    assert (tag, kind) == (33434, 5)
-    place = int.from_bytes(tiff[entry + 10 : entry + 14], "little")
-    above, below = (int.from_bytes(tiff[place + i : place + i + 4], "little") for i in (0, 4))
-    assert above / below == pytest.approx(time_s, rel=1e-3)
 
 
 def test_an_unknown_file_format_is_refused() -> None:

@@ -15,10 +15,9 @@ from camctl.errors import CameraNotFoundError
 from camctl.sim.devices.sierra import device as sierra
 
 BASE = {"scene": "ramp", "sensor": "ideal-8", "size": "48x32"}
-NAK, ACK = b"\x15", b"\x06"
+NAK = b"\x15"
 SILENCE_S = 60.0  # after which a test gives up
 READ_BATTERY = bytes([0x1B, 0x53, 2, 0, 1, 16, 17, 0])
-SET_38400 = bytes([0x1B, 0x53, 6, 0, 0, 17, 3, 0, 0, 0, 20, 0])
 
 
 @pytest.fixture
@@ -34,20 +33,6 @@ def port(device: sierra.SierraDevice) -> Iterator[Any]:
     port = serial.Serial(device.line.path, 19200, timeout=SILENCE_S)
     yield port
     port.close()
-
-
-def test_the_camera_answers_at_the_speed_that_both_ends_have(
-    device: sierra.SierraDevice, port: Any
-) -> None:
-    port.write(b"\0")
-    assert port.read() == NAK
-    port.write(SET_38400)
-    assert port.read() == ACK
-    # The camera changes its speed after the ACK, with the lock that `state` takes.
-    assert device.do("state")["speed"] == 38400
-    port.baudrate = 38400
-    port.write(READ_BATTERY)
-    assert len(port.read(10)) == 10
 
 
 def test_bytes_at_another_speed_are_ignored(

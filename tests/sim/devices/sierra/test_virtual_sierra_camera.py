@@ -141,15 +141,6 @@ def test_a_packet_with_a_wrong_sum_is_not_executed() -> None:
     assert bytes(host.port.read()) == NAK
 
 
-def test_part_of_a_packet_is_discarded_after_silence() -> None:
-    device, host = connected()
-    began_s = device.clock.now()
-    host.port.write(Host.packet(FIRST, bytes([1, 16]))[:5])
-    assert bytes(host.port.read()) == NAK
-    assert device.clock.now() == pytest.approx(began_s + 0.5)
-    assert host.number(16) == 90
-
-
 def test_a_paced_line_takes_its_time() -> None:
     device, host = connected(is_paced=True, files="tiff")
     host.send_nul()
@@ -160,20 +151,6 @@ def test_a_paced_line_takes_its_time() -> None:
     packets = -(-len(data) // 2048)
     expected_s = (len(data) + 6 * packets) * 10 / 38400
     assert device.clock.now() - began_s == pytest.approx(expected_s)
-
-
-def test_an_unplugged_line_fails_until_it_is_opened_again() -> None:
-    device, host = connected()
-    host.act(CAPTURE)
-    device.do("unplug")
-    with pytest.raises(serial.SerialException, match="unplugged"):
-        host.port.read()
-    with pytest.raises(serial.SerialException, match="no camera is there"):
-        Host(device)
-    device.do("plug")
-    with pytest.raises(serial.SerialException, match="unplugged"):
-        host.port.write(b"\0")
-    assert Host(device).number(10) == 1
 
 
 def test_a_line_has_one_host() -> None:
