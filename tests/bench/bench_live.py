@@ -1,11 +1,11 @@
 """The live effective camera: results a second, the sum against memcpy, latency, truth, memory.
 
-    OMP_NUM_THREADS=1 python tests/bench/bench_live.py [speed|stages|sum|truth|memory]
+    OMP_NUM_THREADS=1 python tests/bench/bench_live.py [speed|sum|truth|memory]
 
 speed: 1920 x 1080, three exposures, 8 bits, mono, YUYV (whose luma the V4L2 driver takes; its noise
 is not known) and RGB, frames that a camera in memory has ready: results a second with irradiance,
 mask and a picture of 960 x 540 as JPEG; and from a camera of 30 frames a second: results a second,
-added latency (at most a frame interval + 15 ms).  stages: where the time goes.  sum: S += new - old
+added latency (at most a frame interval + 15 ms).  sum: S += new - old
 alone, by numpy and compiled (extra `fast`), against a copy (memcpy) that moves as many bytes.
 truth: 10^6 frames of a stream that loses frames, sets exposures late and exchanges lists; each sum
 is compared with that of the frames' true exposures, and the marks of older slots with the true
@@ -190,41 +190,6 @@ def speed() -> None:
             )
 
 
-def stages(results: int = 40) -> None:
-    """Print the processor time of each part of a result, which other programs do not change."""
-    cv2 = required_opencv("the bench")
-    for kind in KINDS:
-        camera, display = FastCamera(kind, 0.0), Display(look=True, most=960)
-        with camctl.live(camera, REQUEST, reuse=True) as live:
-            spent: dict[str, float] = {}
-            for number in range(20 + results):
-                if number == 20:
-                    spent.clear()
-                last = time.process_time()
-
-                def note(name: str) -> None:
-                    nonlocal last
-                    now = time.process_time()
-                    spent[name] = spent.get(name, 0.0) + now - last  # noqa: B023
-                    last = now
-
-                one = next(live)
-                note("sum, and its copy")
-                _ = one.irradiance
-                note("irradiance")
-                _ = one.mask
-                note("mask")
-                _ = one.sd
-                note("standard deviation")
-                picture = display.picture(one)
-                cv2.imencode(".jpg", picture)
-                note("picture of 960 x 540, JPEG")
-        each = {name: seconds / results * 1e3 for name, seconds in spent.items()}
-        parts = ", ".join(f"{name} {ms:.1f}" for name, ms in each.items())
-        whole = sum(each.values()) - each["standard deviation"]
-        print(f"{kind}, ms of processor: {parts}; without standard deviation {whole:.1f}")
-
-
 def sum_against_copy() -> None:
     for name, is_compiled in (("numpy", False), ("compiled", True)):
         with mock.patch.object(accumulator, "CHOICE", LoadedLater(load, 1, is_compiled)):
@@ -331,7 +296,6 @@ def memory(results: int = 100_000) -> None:
 
 PARTS = {
     "speed": speed,
-    "stages": stages,
     "sum": sum_against_copy,
     "truth": truth,
     "memory": memory,

@@ -10,22 +10,19 @@ exposure meter, and the most that the process ever had, while it started include
 
 from __future__ import annotations
 
-import fcntl
 import os
-import pty
 import statistics
-import struct
 import subprocess
 import sys
 import tempfile
-import termios
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1] / "helpers")]
+
+from pseudo_terminal import Terminal  # noqa: E402
 
 from camctl.menu.drawing import draw  # noqa: E402  found by the path above
 from camctl.menu.layout import grid  # noqa: E402
@@ -46,25 +43,12 @@ SETTLED_S, WATCHED_S = 20.0, 30.0
 
 def first_screen_s() -> float:
     """Return the time from the start of `camctl menu` to its first screen."""
-    master, slave = pty.openpty()
-    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "80", "LINES": "24"}
     began = time.perf_counter()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "camctl", "menu"],
-        stdin=slave,
-        stdout=slave,
-        stderr=slave,
-        env=environment,
-        start_new_session=True,
-    )
-    shown = b""
-    while not any(text in shown for text in (b"Starting", b"Opening", b"Ready")):
-        shown += os.read(master, 4096)
+    terminal = Terminal(["-m", "camctl", "menu"])
+    while not any(text in terminal.raw for text in ("Starting", "Opening", "Ready")):
+        terminal._read(1.0)
     taken = time.perf_counter() - began
-    process.kill()
-    process.wait()
-    os.close(master)
-    os.close(slave)
+    terminal.close()
     return taken
 
 
@@ -89,39 +73,22 @@ def key_to_screen_s(show: Callable[[Screen], object]) -> list[float]:
 
 def idle() -> tuple[float, float, float]:
     """Return (share of one core, usual and largest resident memory in MB) of the idle menu."""
-    master, slave = pty.openpty()
-    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 4, 20, 0, 0))
     with tempfile.TemporaryDirectory() as folder:
-        environment = {**os.environ, "TERM": "xterm", "XDG_STATE_HOME": folder}
-        for name in ("COLUMNS", "LINES"):  # of another terminal
-            environment.pop(name, None)
-        process = subprocess.Popen(
-            [sys.executable, "-m", "camctl", "menu", "-o", folder],
-            stdin=slave,
-            stdout=slave,
-            stderr=subprocess.DEVNULL,
-            env={
-                name: environment[name] for name in environment if name not in ("COLUMNS", "LINES")
-            },
-            start_new_session=True,
-        )
-        os.set_blocking(master, False)
+        os.environ["XDG_STATE_HOME"] = folder
+        terminal = Terminal(["-m", "camctl", "menu", "-o", folder], 20, 4)
+        pid = terminal.process.pid
         used, resident = 0.0, [0.0]
         for watched_s in (SETTLED_S, WATCHED_S):
-            resident, before = [], _cpu_s(process.pid)
+            resident, before = [], _cpu_s(pid)
             deadline = time.monotonic() + watched_s
             while time.monotonic() < deadline:
                 time.sleep(0.2)
-                _drain(master)
-                resident.append(_memory_mb(process.pid, "VmRSS"))
-            used = (_cpu_s(process.pid) - before) / watched_s
-        most = _memory_mb(process.pid, "VmHWM")
-        process.terminate()
-        while process.poll() is None:
-            time.sleep(0.05)
-            _drain(master)
-    os.close(master)
-    os.close(slave)
+                while terminal._read(0):
+                    pass
+                resident.append(_memory_mb(pid, "VmRSS"))
+            used = (_cpu_s(pid) - before) / watched_s
+        most = _memory_mb(pid, "VmHWM")
+        terminal.close()
     return used, statistics.median(resident), most
 
 
@@ -129,11 +96,6 @@ def _memory_mb(pid: int, field: str) -> float:
     """Return a field of the status of a process, MB (of 1024 kB)."""
     status = Path(f"/proc/{pid}/status").read_text()
     return next(int(line.split()[1]) for line in status.splitlines() if field in line) / 1024
-
-
-def _drain(master: int) -> None:
-    with suppress(BlockingIOError):
-        os.read(master, 1 << 16)
 
 
 def _cpu_s(pid: int) -> float:

@@ -9,8 +9,6 @@ process of their own, so that the peak memory is that of the merge.
 
 from __future__ import annotations
 
-import cProfile
-import pstats
 import sys
 import tempfile
 import time
@@ -30,17 +28,6 @@ from camctl.sim.scenes.drawings import room
 ROWS, COLUMNS, STRIP = 4000, 6000, 500
 TIMES = tuple(4.0**k for k in range(6))
 WELL, READ_NOISE = 8000, 5
-#: Functions whose times are printed, and what they do.
-PHASES = {
-    "read_photograph": "read and decode",
-    "invalid_border": "look for borders",
-    "of": "compare copies, sample grids",
-    "add": "histograms, grids and patches",
-    "misaligned": "look for shifts",
-    "known_controls": "estimate the response",
-    "find_movement": "look for movement",
-    "write_picture_files": "write pictures",
-}
 
 
 def write_photographs(folder: Path) -> None:
@@ -74,22 +61,12 @@ def measured(label: str, call: Callable[[], Any]) -> Any:
 
 
 def merge(files: list[Path], folder: Path) -> None:
-    """Print the times of camctl's merge and of its phases."""
+    """Print the times of camctl's merge."""
     request = CaptureRequest(dynamic_range="auto", clip_percent=0.0)
-    profile = cProfile.Profile()
     plan = lambda: plan_merge(files, request, PhotographOptions(times=TIMES))  # noqa: E731
-    found = profile.runcall(measured, "camctl: read, check, estimate, plan", plan)
-    profile.runcall(
-        measured,
-        "camctl: sum, check, render, write",
-        lambda: found.capture(folder / "result", overwrite=False),
-    )
-    totals = dict.fromkeys(PHASES, 0.0)
-    for (file, _, name), (_, _, _, total, _) in pstats.Stats(profile).stats.items():  # type: ignore[attr-defined]
-        if name in PHASES and "camctl" in file:
-            totals[name] += total
-    for name, label in PHASES.items():
-        print(f"  {label:34} {totals[name]:7.2f} s")
+    found = measured("camctl: read, check, estimate, plan", plan)
+    write = lambda: found.capture(folder / "result", overwrite=False)  # noqa: E731
+    measured("camctl: sum, check, render, write", write)
 
 
 def merge_by_opencv(files: list[Path], folder: Path) -> None:

@@ -2,7 +2,7 @@
 
 `covering` returns rows in which each value of an option meets each value of each other one; a
 command is run once with its quick line, and once with its whole numbers at their largest, so that
-sets of three and four meet, too.  `random_rows` returns longer rows.
+sets of three and four meet, too.
 """
 
 from __future__ import annotations
@@ -55,11 +55,3 @@ def covering(values: Mapping[str, list[str]], random: Random) -> Iterator[Row]:
         for pair in pairs_of(tuple(row)):
             left.pop(pair, None)
         yield tuple(row)
-
-
-def random_rows(values: Mapping[str, list[str]], count: int, random: Random) -> Iterator[Row]:
-    """Yield rows of 2 to 2 * `WIDTH` values."""
-    names = list(values)
-    for _ in range(count):
-        chosen = random.sample(names, min(len(names), random.randint(2, 2 * WIDTH)))
-        yield tuple((name, random.choice(values[name])) for name in chosen)

@@ -1,7 +1,7 @@
 """Run every command at the corners of its numeric options, with limits on memory and time.
 
     python resource_contract.py [--seconds S] [--only TEXT] [--every N]
-    python resource_contract.py --combine {pairs,heavy,random} [--seed K] [--most N] ...
+    python resource_contract.py --combine {pairs,heavy} [--seed K] [--most N] ...
 
 The lines come from the table of options of the command line: each numeric option of each command,
 added to a line of `command_bases.BASES`, at the least and the largest value that its type accepts,
@@ -12,8 +12,8 @@ Lines of `COSTLY` may take longer: they show progress, and their pages state the
 
 With --combine, lines have several options at once, numeric ones at the corners that their types
 accept, names and flags as well: rows that hold each pair of values, on the quick line of the
-command (pairs) or with its whole numbers at their largest (heavy), or N random rows.  A row that
-is refused says nothing about its pairs: each of them, or the first N (--pairs), is run by itself.
+command (pairs) or with its whole numbers at their largest (heavy).  A row that is refused says
+nothing about its pairs: each of them, or the first N (--pairs), is run by itself.
 
 Prints one JSON object for each line, with what is wrong, its processor time and its memory.
 """
@@ -37,7 +37,7 @@ from typing import Any
 
 import click
 from command_bases import BASES, COMMANDS, ENDLESS, write_photographs
-from option_combinations import Row, covering, pairs_of, random_rows
+from option_combinations import Row, covering, pairs_of
 
 from camctl.cli import main as camctl
 from camctl.cli.parameter_types import (
@@ -230,11 +230,8 @@ def rows_of(command: str, how: str, seed: int, most: int) -> Iterator[Row]:
     """Yield the rows of a command."""
     random = Random(f"{seed} {command} {how}")
     values = combined_values(command)
-    if how == "random":
-        yield from random_rows(values, most, random)
-    else:
-        rows = list(covering(values, random))
-        yield from random.sample(rows, min(most, len(rows)))
+    rows = list(covering(values, random))
+    yield from random.sample(rows, min(most, len(rows)))
 
 
 def import_all(commands: Iterable[str], folder: Path) -> None:
@@ -352,7 +349,7 @@ class Contract:
             base = BASES[command][k % len(BASES[command])]
             names = {name for name, _ in row}
             counts = [each for each in largest(command) if how == "heavy" and each[0] not in names]
-            if self.run(command, line_of(command, base, (*counts, *row))) or how == "random":
+            if self.run(command, line_of(command, base, (*counts, *row))):
                 done |= set(pairs_of(row))
                 continue
             left = [pair for pair in combinations(row, 2) if frozenset(pair) not in done]
@@ -366,7 +363,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=int, default=60)
     parser.add_argument("--only", default="")
     parser.add_argument("--every", type=int, default=1)
-    parser.add_argument("--combine", choices=("pairs", "heavy", "random"))
+    parser.add_argument("--combine", choices=("pairs", "heavy"))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--most", type=int, default=1 << 30)
     parser.add_argument("--pairs", type=int)
