@@ -33,7 +33,6 @@ BUS = 250  # no machine has so many
 # libusb's error codes and texts.
 _LIBUSB_ERRORS = {
     errno.ENODEV: (-4, "No such device (it may have been disconnected)"),
-    errno.ENOENT: (-5, "Entity not found"),
     errno.EBUSY: (-6, "Resource busy"),
     errno.ETIMEDOUT: (-7, "Operation timed out"),
     errno.EOVERFLOW: (-8, "Overflow"),
@@ -77,13 +76,6 @@ class _Handle:
         if self.connection.unplugged.is_set():
             _fail(errno.ENODEV)
         return self.connection.device
-
-    def claimed_device(self, interface: int) -> UsbDevice:
-        """Return the device (ENODEV: unplugged, EBUSY: another handle has the interface)."""
-        device = self.device()
-        if self.connection.claims.get(interface, self) is not self:
-            _fail(errno.EBUSY)
-        return device
 
 
 class BackendPort:
@@ -185,23 +177,17 @@ class VirtualBackend(DescribedBackend):
         return handle
 
     def close_device(self, dev_handle: _Handle) -> None:
-        connection = dev_handle.connection
-        others = {n: owner for n, owner in connection.claims.items() if owner is not dev_handle}
-        connection.claims = others
+        claims = dev_handle.connection.claims
+        for interface in [each for each, owner in claims.items() if owner is dev_handle]:
+            del claims[interface]
 
     def set_configuration(self, dev_handle: _Handle, config_value: int) -> None:
-        """Set the configuration; EBUSY while an interface is claimed, as under Linux."""
-        if dev_handle.connection.claims:
-            _fail(errno.EBUSY)
         self._request(dev_handle, (0, 9, config_value, 0, 0))
 
     def get_configuration(self, dev_handle: _Handle) -> int:
         """Return the value of the only configuration, which a host sets when it finds a device."""
         dev_handle.device()
         return dev_handle.connection.configuration.fields["bConfigurationValue"]
-
-    def set_interface_altsetting(self, dev_handle: _Handle, intf: int, altsetting: int) -> None:
-        self._request(dev_handle, (1, 11, altsetting, intf, 0))
 
     def claim_interface(self, dev_handle: _Handle, intf: int) -> None:
         dev_handle.device()
@@ -210,33 +196,19 @@ class VirtualBackend(DescribedBackend):
 
     def release_interface(self, dev_handle: _Handle, intf: int) -> None:
         dev_handle.device()
-        if dev_handle.connection.claims.get(intf) is not dev_handle:
-            _fail(errno.ENOENT)
         del dev_handle.connection.claims[intf]
 
     def is_kernel_driver_active(self, dev_handle: _Handle, intf: int) -> bool:
         dev_handle.device()
         return False
 
-    def detach_kernel_driver(self, dev_handle: _Handle, intf: int) -> None:
-        _fail(errno.ENOENT)
-
-    def attach_kernel_driver(self, dev_handle: _Handle, intf: int) -> None:
-        _fail(errno.ENOENT)
-
     def clear_halt(self, dev_handle: _Handle, ep: int) -> None:
         self._request(dev_handle, (2, 1, 0, ep, 0))
-
-    def reset_device(self, dev_handle: _Handle) -> None:
-        """Reset the device: it keeps its address and discards what it was sending."""
-        device = dev_handle.device()
-        device.disconnect()
-        device.connect()
 
     def bulk_write(
         self, dev_handle: _Handle, ep: int, intf: int, data: array[int], timeout: int
     ) -> int:
-        device = dev_handle.claimed_device(intf)
+        device = dev_handle.device()
         raw = data.tobytes()
         if error := device.write(ep, raw):
             _fail(error)
@@ -246,7 +218,7 @@ class VirtualBackend(DescribedBackend):
         self, dev_handle: _Handle, ep: int, intf: int, buff: array[int], timeout: int
     ) -> int:
         """Read from an IN endpoint into `buff`; `timeout` in ms, 0 for none."""
-        device = dev_handle.claimed_device(intf)
+        device = dev_handle.device()
         ended = threading.Event()
         result: list[tuple[int, bytes]] = []
 
@@ -267,7 +239,6 @@ class VirtualBackend(DescribedBackend):
         device.clock.sleep_until(device.clock.now() + len(data) / self._bytes_per_s)
         return len(data)
 
-    intr_write = bulk_write
     intr_read = bulk_read
 
     def ctrl_transfer(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import struct
-import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -16,7 +15,7 @@ from hypothesis import strategies as st
 from virtual_usb_bus import VirtualBackend
 
 from camctl.errors import UsageError
-from camctl.sim.devices.clock import DeviceClock, RealDeviceClock, VirtualDeviceClock
+from camctl.sim.devices.clock import DeviceClock, VirtualDeviceClock
 from camctl.sim.devices.usb.device import NO_REPLY, STALL, ControlReply, UsbDevice
 
 PACKET = 64
@@ -86,11 +85,6 @@ def error_number(call: Callable[..., Any], *arguments: Any) -> int | None:
     return number
 
 
-def test_a_device_is_found_by_its_ids(backend: VirtualBackend) -> None:
-    assert usb.core.find(backend=backend, idVendor=0x1D6B, idProduct=0x0101) is not None
-    assert usb.core.find(backend=backend, idVendor=0x1D6B, idProduct=0x0102) is None
-
-
 def test_descriptors_and_strings(host: Any) -> None:
     configuration = host.get_active_configuration()
     interface = configuration[0, 0]
@@ -100,11 +94,6 @@ def test_descriptors_and_strings(host: Any) -> None:
     assert interface[2].wMaxPacketSize == 24
     assert (host.manufacturer, host.product, host.serial_number) == ("Maker", "Écho", "0001")
     assert host.bus == 250
-
-
-def test_bulk_transfers_in_both_directions(host: Any) -> None:
-    assert host.write(BULK_OUT, b"abc") == 3
-    assert bytes(host.read(BULK_IN, 512)) == b"abc"
 
 
 @given(
@@ -186,23 +175,6 @@ def test_a_halt_lasts_until_it_is_cleared(device: Echo, host: Any, endpoint: int
     assert device.cleared == [endpoint]
 
 
-def test_unplugging_ends_a_waiting_read_and_fails_all_transfers(device: Echo, host: Any) -> None:
-    host.set_configuration()
-    usb.util.claim_interface(host, 0)
-    device.clock.call_at(device.clock.now() + 0.05, lambda: device.detach())
-    assert error_number(host.read, BULK_IN, 64, 5000) == errno.ENODEV
-    assert device.clock.now() == pytest.approx(0.05)
-    assert error_number(host.write, BULK_OUT, b"x") == errno.ENODEV
-    assert error_number(host.ctrl_transfer, 0xC0, GREETING, 0, 0, 64) == errno.ENODEV
-
-
-def test_in_real_time_another_thread_ends_a_read_without_time_out() -> None:
-    device = Echo(RealDeviceClock())
-    host = usb.core.find(backend=VirtualBackend([device]))
-    threading.Timer(0.01, device.do, ["unplug"]).start()
-    assert error_number(host.read, BULK_IN, 64, 0) == errno.ENODEV
-
-
 def test_a_device_that_is_plugged_in_again_has_a_new_address(
     device: Echo, backend: VirtualBackend, host: Any
 ) -> None:
@@ -214,25 +186,6 @@ def test_a_device_that_is_plugged_in_again_has_a_new_address(
     again = usb.core.find(backend=backend)
     assert again.address != host.address
     assert error_number(again.read, BULK_IN, 64, 20) == errno.ETIMEDOUT
-
-
-def test_an_interface_can_be_claimed_once(backend: VirtualBackend, host: Any) -> None:
-    other = usb.core.find(backend=backend)
-    usb.util.claim_interface(host, 0)
-    assert error_number(usb.util.claim_interface, other, 0) == errno.EBUSY
-    assert error_number(other.read, BULK_IN, 64, 20) == errno.EBUSY
-    usb.util.release_interface(host, 0)
-    usb.util.claim_interface(other, 0)
-    assert error_number(host.write, BULK_OUT, b"x") == errno.EBUSY
-    usb.util.dispose_resources(other)
-    usb.util.claim_interface(host, 0)
-    assert host.is_kernel_driver_active(0) is False
-
-
-def test_a_reset_discards_what_was_sent(device: Echo, host: Any) -> None:
-    device.send(1, b"old")
-    host.reset()
-    assert error_number(host.read, BULK_IN, 64, 20) == errno.ETIMEDOUT
 
 
 def test_control_commands_of_every_device(device: Echo) -> None:
