@@ -7,10 +7,15 @@ the layout of 64-bit Linux; a test compares their sizes and the ioctl numbers wi
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Mapping
 from enum import IntEnum, IntFlag
+from typing import Any
 
-_U8, _U32, _S32 = ctypes.c_uint8, ctypes.c_uint32, ctypes.c_int32
-_U64, _S64 = ctypes.c_uint64, ctypes.c_int64
+#: Types of fields, by the letters of the module `struct`; a field without one is a u32.
+_TYPES: Mapping[str, Any] = {
+    **{"": ctypes.c_uint32, "I": ctypes.c_uint32, "i": ctypes.c_int32, "B": ctypes.c_uint8},
+    **{"H": ctypes.c_uint16, "Q": ctypes.c_uint64, "q": ctypes.c_int64},
+}
 
 CAPTURE_BUFFER = 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE
 PLANES_BUFFER = 9  # V4L2_BUF_TYPE_VIDEO_CAPTURE_MPLANE
@@ -18,43 +23,33 @@ MOST_PLANES = 8  # VIDEO_MAX_PLANES
 MAPPED_MEMORY = 1  # V4L2_MEMORY_MMAP
 
 
-def _words(names: str) -> tuple[tuple[str, type[ctypes.c_uint32]], ...]:
-    """Return fields of 32 bits each."""
-    return tuple((name, _U32) for name in names.split())
+def _fields(text: str) -> tuple[tuple[str, Any], ...]:
+    """Return fields by name and type, "name:B", of an array with its length, "name:B16"."""
+    parts = [each.partition(":")[::2] for each in text.split()]
+    types = [(name, _TYPES[kind[:1]], int(kind[1:] or 0)) for name, kind in parts]
+    return tuple((name, type_ * count if count else type_) for name, type_, count in types)
 
 
 class Capability(ctypes.Structure):
     """Driver, name and capabilities of a node: struct v4l2_capability."""
 
-    _fields_ = (
-        ("driver", _U8 * 16),
-        ("card", _U8 * 32),
-        ("bus_info", _U8 * 32),
-        *_words("version capabilities device_caps"),
-        ("reserved", _U32 * 3),
+    _fields_ = _fields(
+        "driver:B16 card:B32 bus_info:B32 version capabilities device_caps reserved:I3"
     )
 
 
 class FormatDescription(ctypes.Structure):
     """An entry of the list of pixel formats: struct v4l2_fmtdesc."""
 
-    _fields_ = (
-        *_words("index type flags"),
-        ("description", _U8 * 32),
-        ("pixelformat", _U32),
-        ("reserved", _U32 * 4),
-    )
+    _fields_ = _fields("index type flags description:B32 pixelformat reserved:I4")
 
 
 class Format(ctypes.Structure):
     """Pixel format and size: struct v4l2_format with struct v4l2_pix_format in its union."""
 
-    _fields_ = (
-        *_words(
-            "type _alignment width height pixelformat field bytesperline sizeimage colorspace priv"
-            " flags ycbcr_enc quantization xfer_func"
-        ),
-        ("_rest", _U8 * 152),
+    _fields_ = _fields(
+        "type _alignment width height pixelformat field bytesperline sizeimage "
+        "colorspace priv flags ycbcr_enc quantization xfer_func _rest:B152"
     )
 
 
@@ -62,7 +57,7 @@ class PlaneFormat(ctypes.Structure):
     """Size of a plane: struct v4l2_plane_pix_format (packed)."""
 
     _pack_ = 1
-    _fields_ = (*_words("sizeimage bytesperline"), ("_reserved", ctypes.c_uint16 * 6))
+    _fields_ = _fields("sizeimage bytesperline _reserved:H6")
 
 
 class PlanesFormat(ctypes.Structure):
@@ -73,45 +68,29 @@ class PlanesFormat(ctypes.Structure):
 
     _pack_ = 1
     _fields_ = (
-        *_words("type _alignment width height pixelformat field colorspace"),
+        *_fields("type _alignment width height pixelformat field colorspace"),
         ("planes", PlaneFormat * MOST_PLANES),
-        *((name, _U8) for name in ("num_planes", "flags", "ycbcr_enc", "quantization")),
-        ("_rest", _U8 * 16),
+        *_fields("num_planes:B flags:B ycbcr_enc:B quantization:B _rest:B16"),
     )
 
 
 class Plane(ctypes.Structure):
     """A plane of a buffer: struct v4l2_plane."""
 
-    _fields_ = (
-        *_words("bytesused length"),
-        ("offset", _U64),
-        ("data_offset", _U32),
-        ("_reserved", _U32 * 11),
-    )
+    _fields_ = _fields("bytesused length offset:Q data_offset _reserved:I11")
 
 
 class StreamParameters(ctypes.Structure):
     """The frame interval: struct v4l2_streamparm with struct v4l2_captureparm in its union."""
 
-    _fields_ = (
-        *_words("type capability capturemode numerator denominator"),
-        ("_rest", _U8 * 184),
-    )
+    _fields_ = _fields("type capability capturemode numerator denominator _rest:B184")
 
 
 class ControlQuery(ctypes.Structure):
     """A control's range: struct v4l2_queryctrl."""
 
-    _fields_ = (
-        *_words("id type"),
-        ("name", _U8 * 32),
-        ("minimum", _S32),
-        ("maximum", _S32),
-        ("step", _S32),
-        ("default_value", _S32),
-        ("flags", _U32),
-        ("reserved", _U32 * 2),
+    _fields_ = _fields(
+        "id type name:B32 minimum:i maximum:i step:i default_value:i flags reserved:I2"
     )
 
 
@@ -119,17 +98,13 @@ class MenuQuery(ctypes.Structure):
     """An entry of a menu control: struct v4l2_querymenu (packed)."""
 
     _pack_ = 1
-    _fields_ = (
-        *_words("id index"),
-        ("name", _U8 * 32),
-        ("reserved", _U32),
-    )
+    _fields_ = _fields("id index name:B32 reserved")
 
 
 class ControlValue(ctypes.Structure):
     """A control's value: struct v4l2_control."""
 
-    _fields_ = (("id", _U32), ("value", _S32))
+    _fields_ = _fields("id value:i")
 
 
 class SizeQuery(ctypes.Structure):
@@ -139,11 +114,7 @@ class SizeQuery(ctypes.Structure):
     the width, then of the height.
     """
 
-    _fields_ = (
-        *_words("index pixel_format type"),
-        ("words", _U32 * 6),
-        ("reserved", _U32 * 2),
-    )
+    _fields_ = _fields("index pixel_format type words:I6 reserved:I2")
 
 
 class IntervalQuery(ctypes.Structure):
@@ -153,53 +124,42 @@ class IntervalQuery(ctypes.Structure):
     discrete, else minimum, maximum and step.
     """
 
-    _fields_ = (
-        *_words("index pixel_format width height type"),
-        ("words", _U32 * 6),
-        ("reserved", _U32 * 2),
-    )
+    _fields_ = _fields("index pixel_format width height type words:I6 reserved:I2")
 
 
 class BufferRequest(ctypes.Structure):
     """How many buffers a stream has: struct v4l2_requestbuffers."""
 
-    _fields_ = (*_words("count type memory capabilities flags"),)
+    _fields_ = _fields("count type memory capabilities flags")
 
 
 class Buffer(ctypes.Structure):
     """A buffer of a stream: struct v4l2_buffer; the timestamp in seconds and microseconds."""
 
-    _fields_ = (
-        *_words("index type bytesused flags field _alignment"),
-        ("seconds", _S64),
-        ("microseconds", _S64),
-        ("_timecode", _U32 * 4),
-        *_words("sequence memory"),
-        ("offset", _U64),
-        *_words("length _reserved _request _end"),
+    _fields_ = _fields(
+        "index type bytesused flags field _alignment seconds:q microseconds:q "
+        "_timecode:I4 sequence memory offset:Q length _reserved _request _end"
     )
 
 
 class BufferType(ctypes.Structure):
     """The kind of buffers that is started or stopped: an int."""
 
-    _fields_ = (("type", _S32),)
+    _fields_ = _fields("type:i")
 
 
 class LongValue(ctypes.Structure):
     """A control's value of up to 64 bits: struct v4l2_ext_control (packed)."""
 
     _pack_ = 1
-    _fields_ = (("id", _U32), ("size", _U32), ("_reserved", _U32), ("value", _S64))
+    _fields_ = _fields("id size _reserved value:q")
 
 
 class LongValues(ctypes.Structure):
     """A list of such values: struct v4l2_ext_controls."""
 
     _fields_ = (
-        *_words("which count error_index"),
-        ("_request", _S32),
-        ("_reserved", _U32 * 2),
+        *_fields("which count error_index _request:i _reserved:I2"),
         ("controls", ctypes.POINTER(LongValue)),
     )
 
@@ -210,22 +170,15 @@ _READ, _WRITE = 2, 1  # directions of an ioctl
 class Entity(ctypes.Structure):
     """A part of a media device: struct media_entity_desc of linux/media.h."""
 
-    _fields_ = (
-        ("id", _U32),
-        ("name", _U8 * 32),
-        *_words("type revision flags group_id"),
-        ("pads", ctypes.c_uint16),
-        ("links", ctypes.c_uint16),
-        ("reserved", _U32 * 4),
-        *_words("major minor"),
-        ("raw", _U8 * 176),
+    _fields_ = _fields(
+        "id name:B32 type revision flags group_id pads:H links:H reserved:I4 major minor raw:B176"
     )
 
 
 class PadFormat(ctypes.Structure):
     """The format of a pad of a subdevice: struct v4l2_subdev_format of linux/v4l2-subdev.h."""
 
-    _fields_ = (*_words("which pad width height code field"), ("rest", _U8 * 64))
+    _fields_ = _fields("which pad width height code field rest:B64")
 
 
 def _request(
