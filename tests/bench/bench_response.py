@@ -351,42 +351,31 @@ def memorial(folder: Path) -> None:
     curves = {"camctl": np.stack(ours_, axis=1)} | {
         name: opencv_curves(parts, exposures, name) for name in ("debevec", "robertson")
     }
-    places = np.arange(256.0)
-    hat = np.minimum(places + 1, 256 - places)
     own = np.stack([each.sample_weights() for each in estimate.record.channels], axis=1)
-    exposed = np.maximum(np.minimum(places - 20, 235 - places), 0)
-    for weights, used in (
-        (np.pad(own, ((0, 256 - len(own)), (0, 0))), "the weights of the record of camctl"),
-        (np.stack([exposed] * 3, axis=1), "samples of 20 to 235"),
-        (np.stack([hat] * 3, axis=1), "OpenCV's weights, black ones, too"),
-    ):
-        for name, curve in curves.items():
-            found = []
-            for colour in range(3):
-                log_E = np.log(np.maximum(curve[:, colour], 1e-12))
-                samples = np.array([frame[..., colour][usable] for frame in parts])
-                weight = np.maximum(weights[samples, colour], 1e-12)
-                light = (weight * (log_E[samples] - np.log(exposures)[:, None])).sum(axis=0)
-                found.append(light / weight.sum(axis=0))
-            print(f"  {used:34s} {name:10s} {compared(found, truth[part][usable])}", flush=True)
+    weights = np.pad(own, ((0, 256 - len(own)), (0, 0)))
+    for name, curve in curves.items():
+        found = []
+        for colour in range(3):
+            log_E = np.log(np.maximum(curve[:, colour], 1e-12))
+            samples = np.array([frame[..., colour][usable] for frame in parts])
+            weight = np.maximum(weights[samples, colour], 1e-12)
+            light = (weight * (log_E[samples] - np.log(exposures)[:, None])).sum(axis=0)
+            found.append(light / weight.sum(axis=0))
+        print(f"  {name:10s} {compared(found, truth[part][usable])}", flush=True)
     merged = cv2.createMergeDebevec().process(
         parts, np.array(exposures, np.float32), curves["debevec"][:, None].astype(np.float32)
     )
     found = list(np.log(np.maximum(merged[usable], 1e-12)).T)
-    print(
-        f"  {'merged by OpenCV':34s} {'debevec':10s} {compared(found, truth[part][usable])}",
-        flush=True,
-    )
+    print(f"  merged by OpenCV {compared(found, truth[part][usable])}", flush=True)
 
 
 def compared(found: list[FloatArray], truth: FloatArray) -> str:
-    """Return errors of ln(radiance) and the exponents of the radiance, R, G, B."""
-    errors, exponents = [], []
+    """Return errors of ln(radiance), R, G, B."""
+    errors = []
     for logs, true in zip(found, np.log(truth).T, strict=True):
         difference = logs - true
         errors.append(f"{np.median(np.abs(difference - np.median(difference))):.4f}")
-        exponents.append(f"{np.polyfit(true, logs, 1)[0]:.3f}")
-    return f"median |ln error| {', '.join(errors)}; exponent {', '.join(exponents)}"
+    return f"median |ln error| {', '.join(errors)}"
 
 
 def channel_levels(channel: ChannelResponse) -> FloatArray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -12,29 +11,14 @@ import guest_processes as guest
 import pytest
 import virtual_devices as rig
 from device_conformance import DeviceConformance
-from error_lines import one_line
-
-from camctl.errors import CameraError
-from camctl.interface.camera import Frame
 
 CAMERA = r"the camera at /dev/serial/by-id/\S+"
 LONG_BRACKET = ("--ratios", "1,2,4,5,62.5", "--base", "0.002")
 
-# The error that a fault leads to.
-LASTING_FAULTS = {
-    "hang": (
-        f"{CAMERA} has not answered for 12 s; check that it is on and the cable fits, "
-        "switch it off and on, then try again"
-    ),
-    "card_full": (
-        f"the card of {CAMERA} is full; make room on it or put another in, then resume; "
-        r"0 of 3 frames are kept; shoot the others \(camctl resume card_full\)"
-    ),
-    "battery_low": (
-        rf"the battery of {CAMERA} is low \(3 %\); charge it or use a mains adapter, then "
-        r"resume; 0 of 3 frames are kept; shoot the others \(camctl resume battery_low\)"
-    ),
-}
+HANG = (
+    f"{CAMERA} has not answered for 12 s; check that it is on and the cable fits, "
+    "switch it off and on, then try again"
+)
 
 RunCamctl = Callable[..., guest.CommandResult]
 
@@ -51,25 +35,10 @@ class TestFaults:
     def fault(self, verb: str, **arguments: Any) -> None:
         self.hub.do(rig.COOLPIX.name, verb, **arguments)
 
-    def shoot(self) -> list[Frame]:
-        with rig.open_device(rig.COOLPIX) as camera:
-            settings = [rig.setting(camera, time_s) for time_s in (0.004, 0.008)]
-            with closing(camera.shoot(settings)) as frames:
-                return list(frames)
-
-    def test_packets_that_are_not_acknowledged_are_sent_again(self) -> None:
-        self.fault("nak", count=3)
-        assert len(self.shoot()) == 2
-
-    def test_a_speed_that_is_refused(self) -> None:
-        self.fault("no_speed")
-        assert len(self.shoot()) == 2
-
-    @pytest.mark.parametrize("verb", LASTING_FAULTS)
-    def test_a_lasting_fault_is_an_error(self, camctl: RunCamctl, verb: str) -> None:
-        self.fault(verb)
-        done = camctl("shoot", *rig.camera_arguments(rig.COOLPIX), *rig.BRACKET, "-o", verb)
-        assert re.fullmatch(LASTING_FAULTS[verb], done.error), done.error
+    def test_a_camera_that_hangs_is_an_error(self, camctl: RunCamctl) -> None:
+        self.fault("hang")
+        done = camctl("shoot", *rig.camera_arguments(rig.COOLPIX), *rig.BRACKET, "-o", "hang")
+        assert re.fullmatch(HANG, done.error), done.error
         assert done.seconds < 60
 
     @pytest.mark.parametrize("verb", ["truncate", pytest.param("garbage", marks=pytest.mark.proof)])
@@ -78,16 +47,6 @@ class TestFaults:
             done = camctl("shoot", *rig.camera_arguments(rig.COOLPIX), *rig.BRACKET, "-o", verb)
         assert done.status == 0, done.err
         rig.completed_frames(verb)
-
-    def test_silent_clamping_is_detected(self) -> None:
-        with rig.open_device(rig.COOLPIX) as camera:
-            settings = [rig.setting(camera, time_s) for time_s in (0.002, 0.008)]
-            self.fault("clamp", max_s=0.005)
-            with pytest.raises(CameraError) as caught, closing(camera.shoot(settings)) as frames:
-                list(frames)
-        assert one_line(caught.value) == (
-            "the camera cannot set time_s to 0.008; the nearest it can do is 0.004"
-        )
 
     def test_the_adapter_is_unplugged_in_a_capture_and_plugged_in_again(
         self, camctl: RunCamctl

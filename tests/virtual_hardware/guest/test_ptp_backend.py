@@ -13,29 +13,13 @@ import guest_processes as guest
 import pytest
 import virtual_devices as rig
 from device_conformance import DeviceConformance
-from error_lines import one_line
 
-from camctl import read_report
-from camctl.errors import CameraError
 from camctl.interface.camera import Frame
 
 CAMERA = r"Virtual PTP camera at USB \d+:\d+"
 LONG_BRACKET = ("--ratios", "1,2,4,8,16", "--base", "0.002")
 
-# The error that a fault leads to.
-LASTING_FAULTS = {
-    "hang": f"{CAMERA} does not answer; switch it off and on again, then resume",
-    "card_full": (
-        f"{CAMERA} did not take a picture: its card is full; make room on the card or put "
-        "another one in; 0 of 3 frames are kept; shoot the others "
-        r"\(camctl resume card_full\)"
-    ),
-    "battery_low": (
-        f"{CAMERA} did not take a picture: its battery has 3 % of its charge; charge it or "
-        "use a mains adapter; 0 of 3 frames are kept; shoot the others "
-        r"\(camctl resume battery_low\)"
-    ),
-}
+HANG = f"{CAMERA} does not answer; switch it off and on again, then resume"
 
 RunCamctl = Callable[..., guest.CommandResult]
 
@@ -85,11 +69,10 @@ class TestFaults:
         self.fault(verb)
         assert [frame.index for frame in self.shoot()] == [0, 1, 2]
 
-    @pytest.mark.parametrize("verb", LASTING_FAULTS)
-    def test_a_lasting_fault_is_an_error(self, camctl: RunCamctl, verb: str) -> None:
-        self.fault(verb)
-        done = camctl("shoot", *rig.camera_arguments(self.device), *rig.BRACKET, "-o", verb)
-        assert re.fullmatch(LASTING_FAULTS[verb], done.error), done.error
+    def test_a_camera_that_hangs_is_an_error(self, camctl: RunCamctl) -> None:
+        self.fault("hang")
+        done = camctl("shoot", *rig.camera_arguments(self.device), *rig.BRACKET, "-o", "hang")
+        assert re.fullmatch(HANG, done.error), done.error
         assert done.seconds < 60
 
     @pytest.mark.parametrize("verb", ["truncate", pytest.param("garbage", marks=pytest.mark.proof)])
@@ -120,40 +103,6 @@ class TestFaults:
         rig.completed_frames("cut")
         # What had been shot was not shot again.
         assert {path: path.stat().st_mtime_ns for path in kept} == kept
-
-    def test_silent_clamping_is_detected(self) -> None:
-        self.fault("clamp", max_s=0.01)
-        with pytest.raises(CameraError) as caught:
-            self.shoot()
-        message = (
-            r"the camera cannot set time_s to 0\.016; taken and not fetched: the picture of "
-            r"0\.008 s \(VIRT\d+\.TIF\); the nearest it can do is 0\.01"
-        )
-        assert re.fullmatch(message, one_line(caught.value)), caught.value
-
-    def test_a_wrong_exposure_is_found_and_shot_again(self, camctl: RunCamctl) -> None:
-        with guest.once_a_frame_is_kept(
-            Path("wrong").absolute(), lambda: self.fault("wrong_exposure", factor=2.0)
-        ):
-            done = camctl("shoot", *rig.camera_arguments(self.device), *LONG_BRACKET, "-o", "wrong")
-        assert done.status == 0, done.err
-        assert read_report(Path("wrong")).rejected
-        rig.completed_frames("wrong")
-
-    @pytest.mark.proof  # tests/captures/test_verdict.py has it by the simulated camera
-    def test_an_exposure_that_stays_wrong_is_marked(self, camctl: RunCamctl) -> None:
-        folder = Path("marked").absolute()
-        with guest.once_a_frame_is_kept(
-            folder, lambda: self.fault("wrong_exposure", factor=2.0, count=1000)
-        ):
-            done = camctl(
-                "shoot", *rig.camera_arguments(self.device), *LONG_BRACKET, "-o", "marked"
-            )
-        assert done.status == 3, done.err
-        report = read_report(folder)
-        assert report.rejected
-        assert not report.trustworthy
-        assert "a factor of 2 apart" in (report.untrustworthy_because or "")
 
     def test_another_process_holds_the_interface(self, camctl: RunCamctl) -> None:
         with guest.held_by_another_process(guest.claim_interface, self.device.serial) as holder:

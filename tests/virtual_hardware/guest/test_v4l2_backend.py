@@ -264,27 +264,6 @@ class TestFaults:
         )
         assert re.fullmatch(message, done.error), done.error
 
-    def test_silent_clamping_is_detected(self) -> None:
-        self.fault("clamp", max_s=0.02)
-        with rig.open_device(rig.WEB) as camera:
-            setting = rig.setting(camera, 0.04)
-            with pytest.raises(CameraError) as caught, closing(camera.shoot([setting])) as frames:
-                list(frames)
-        assert one_line(caught.value) == (
-            "the camera cannot set time_s to 0.04; the nearest it can do is 0.02"
-        )
-
-    def test_a_wrong_exposure_is_found_and_shot_again(self, camctl: RunCamctl) -> None:
-        with guest.once_a_frame_is_kept(
-            Path("wrong").absolute(), lambda: self.fault("wrong_exposure", factor=2.0)
-        ):
-            done = camctl("shoot", *rig.camera_arguments(rig.WEB), *LONG_BRACKET, "-o", "wrong")
-        assert done.status == 0, done.err
-        report = read_report(Path("wrong"))
-        assert report.rejected
-        assert 2 in [frame.attempts for frame in rig.completed_frames("wrong")]
-        assert not rig.distrust_warnings(report)
-
     @pytest.mark.parametrize("is_delivered", [False, True])
     def test_an_erroneous_frame_is_not_summed(self, is_delivered: bool) -> None:
         """Whether uvcvideo drops it, as before Linux 6.12, or delivers it with the error flag."""
@@ -316,10 +295,3 @@ class TestFaults:
             done = camctl("shoot", *rig.camera_arguments(rig.WEB), *LONG_BRACKET, "-o", verb)
         assert done.status == 0, done.err
         rig.completed_frames(verb)
-
-    def test_lens_cap(self, camctl: RunCamctl) -> None:
-        self.fault("wrong_exposure", factor=0.0, count=1000)
-        done = camctl("shoot", *rig.camera_arguments(rig.WEB), "-o", "cap")
-        assert done.error == (
-            "the picture is black even at 1/15 s; take the lens cap off, or light the scene"
-        )
