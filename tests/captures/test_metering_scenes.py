@@ -109,13 +109,10 @@ def follow(
             for scene, fields in (
                 ("room", {"dynamic_range": 256.0}),
                 ("room", {"time_budget_s": 0.5}),
-                ("night-street", {"dynamic_range": 100.0, "clip_percent": 0.0}),
                 ("room", {"base_s": 1e-4, "dynamic_range": 1000.0}),
                 ("room", {"base_s": 8.0, "dynamic_range": 1000.0}),
                 ("cloth", {"compensation_stops": 2.0}),
                 ("room", {"response": "linear", "dynamic_range": 1000.0}),
-                ("room", {"response": "gamma", "count": 1}),
-                ("night-street", {"time_budget_s": 1.0}),
                 ("room", {"clip_percent": 20.0}),
                 ("room", {"time_budget_s": 1.0, "accuracy": 60.0}),
             )
@@ -140,9 +137,8 @@ def test_what_is_too_bright_for_two_reasons_gets_one_advice(tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("response", ["log", "linear"])
-def test_what_is_too_dark_for_two_reasons_gets_one_advice(response: str, tmp_path: Path) -> None:
-    fields = {"clip_percent": 0.0, "dynamic_range": 1000.0, "response": response}
+def test_what_is_too_dark_for_two_reasons_gets_one_advice(tmp_path: Path) -> None:
+    fields = {"clip_percent": 0.0, "dynamic_range": 1000.0}
     shares, findings = follow("night-street", fields, tmp_path)
     assert shares[0][1] > MUCH
     assert len(shares) == 2
@@ -173,11 +169,9 @@ def test_stars_get_no_advice_that_does_not_help(fields: dict[str, Any], tmp_path
 @pytest.mark.parametrize(
     ("scene", "sensor"),
     [
-        ("room", "complete"),
         ("night-street", "standard"),
         ("stars", "complete"),
         ("outdoor-sun", "security"),
-        ("ball", "complete"),
     ],
 )
 def test_each_advice_helps(scene: str, sensor: str, tmp_path: Path) -> None:
@@ -187,7 +181,7 @@ def test_each_advice_helps(scene: str, sensor: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "clip", [10.0, *(pytest.param(each, marks=pytest.mark.slow) for each in (0.0, 0.1, 1.0))]
+    "clip", [10.0, *(pytest.param(each, marks=pytest.mark.slow) for each in (0.0, 1.0))]
 )
 def test_the_share_that_may_clip_clips(clip: float, tmp_path: Path) -> None:
     report = shot("tile-floor", tmp_path, clip_percent=clip)
