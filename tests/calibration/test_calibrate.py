@@ -162,14 +162,6 @@ def test_exposures_of_arrays_of_shifted_samples() -> None:
         )
 
 
-@pytest.mark.parametrize(("sensor", "frames"), [("standard", 2), ("mobile", 3)])
-def test_delay_of_a_camera(sensor: str, frames: int) -> None:
-    with camctl.open_camera("sim", sensor=sensor, size="64x48") as camera:
-        found = camctl.calibrate.delay(camera, trials=4)
-    assert found.frames == frames  # as the sensor's file says
-    assert found.timing is not None
-
-
 @pytest.mark.parametrize(("late", "dtype"), [(0, np.uint8), (2, np.uint8), (3, np.uint16)])
 def test_delay_of_arrays(late: int, dtype: type[np.unsignedinteger]) -> None:
     """Also of few levels in 16 bits, such as those of a camera of 10 bits."""

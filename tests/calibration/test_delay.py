@@ -74,13 +74,6 @@ def test_constant_delay_is_measured_with_every_sensor(sensor: str) -> None:
         check_constant_delay(delay, sensor, SCENES[(delay + SENSORS.index(sensor)) % 3])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("sensor", SENSORS)
-def test_constant_delay_is_measured_before_every_scene(sensor: str) -> None:
-    for delay, scene in product((0, 2, 5), SCENES):
-        check_constant_delay(delay, sensor, scene)
-
-
 @given(
     delay=st.integers(0, 5),
     jitter=st.integers(0, 3),

@@ -13,11 +13,9 @@ from camctl.captures.plan import plan_capture
 from camctl.errors import UsageError
 from camctl.exposure.goal import CaptureRequest
 from camctl.exposure.search.best import objective_of
-from camctl.exposure.search.front import Front
 from camctl.exposure.search.wall_time import gain_choices
 from camctl.interface.controls import Choices, ExposureControls, Layout, ResponseOrigin, Steps
 from camctl.model.noise import NoiseModel
-from camctl.model.response.desired import desired_response
 
 NOISE = NoiseModel(39.0, ((1.0, 3.0),))
 
@@ -90,16 +88,6 @@ def test_contradicting_requests_are_refused(fields: dict[str, Any], message: str
         CaptureRequest(**fields)
 
 
-def test_plan_has_the_exposures_of_the_objective() -> None:
-    with small_camera() as camera:
-        by_accuracy = plan_capture(camera, CaptureRequest("linear", 1000.0, 3))
-        by_xi = plan_capture(camera, CaptureRequest("linear", 1000.0, 3, objective="xi"))
-    assert (by_accuracy.objective, by_xi.objective) == ("accuracy", "xi")
-    assert by_accuracy.effective_levels > 1.1 * by_xi.effective_levels
-    assert by_accuracy.shutter_s < 0.7 * by_xi.shutter_s
-    assert by_accuracy.xi > by_xi.xi
-
-
 @pytest.mark.slow
 def test_a_time_budget_chooses_the_count_unless_it_is_given() -> None:
     with small_camera() as camera:
@@ -133,20 +121,6 @@ def test_an_accuracy_out_of_reach_is_refused_with_the_best_and_its_time() -> Non
     message = r"no set of 2 exposures has 500 .* the best has 62\.\d+ in 0\.\d+ s"
     with small_camera() as camera, pytest.raises(UsageError, match=message):
         plan_capture(camera, CaptureRequest("log", 1000.0, 2, accuracy=500.0))
-
-
-@pytest.mark.slow
-def test_a_list_of_shutter_times_is_searched() -> None:
-    times = Choices(tuple(2.0 ** (np.arange(-36, 13) / 3)))
-    with small_camera() as camera:
-        real = camera.controls
-        controls = ExposureControls(**{**vars(real), "time_s": times})
-        limit_s = 0.02
-        request = CaptureRequest("log", 1000.0, 3)
-        front = Front(controls, desired_response("log", 1000.0), limit_s, request=request)
-        settings = front.chosen.settings
-    assert all(setting.time_s in times.values for setting in settings)
-    assert settings[0].time_s == max(t for t in times.values if t <= limit_s)
 
 
 def test_shutter_times_are_whole_flicker_periods() -> None:

@@ -41,11 +41,6 @@ def edit(folder: Path, **changes: Any) -> None:
     path.write_text(json.dumps(report))
 
 
-def test_resume_says_that_a_capture_is_complete(folder: Path, camera: SimulatedCamera) -> None:
-    with pytest.raises(DataError, match="complete: all 3 frames were shot"):
-        camctl.resume(camera, folder)
-
-
 def test_resume_names_a_frame_of_a_complete_capture_that_has_changed(
     folder: Path, camera: SimulatedCamera, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -58,18 +58,6 @@ def test_path_may_be_a_string(empty_working_directory: Path) -> None:
     assert np.array_equal(read_report("out").radiance(), report.radiance())
 
 
-def test_frame_of_the_wrong_exposure_is_shot_again() -> None:
-    with small_camera() as camera:
-        truth = capture(camera, GIVEN)
-    with small_camera(faults=Faults(wrong_exposure={1: 0.5})) as camera:
-        report = capture(camera, GIVEN)
-    assert [frame.attempts for frame in report.frames].count(2) >= 1
-    assert report.rejected == []
-    total = sum(report.frame(position).astype(int) for position in range(3))
-    assert np.array_equal(report.sum(), total)
-    assert np.median(np.abs(report.radiance() / truth.radiance() - 1)) < 0.03
-
-
 def test_failure_reports_that_the_frames_are_lost() -> None:
     message = (
         "2 of 3 frames were taken and are lost; capture again, into a folder to keep the frames"

@@ -10,14 +10,12 @@ import pytest
 import tifffile
 from small_cameras import small_camera, sum_of_frames
 
-from camctl.captures.sequence import Progress
 from camctl.captures.sequencer import capture, resume
 from camctl.errors import (
     CameraDisconnectedError,
     CameraError,
     CameraTimeoutError,
     DataError,
-    InterruptedCaptureError,
 )
 from camctl.exposure.goal import CaptureRequest
 from camctl.records.folder_store import read_capture, read_report
@@ -52,31 +50,6 @@ def test_frames_before_a_failure_are_kept_and_resume_completes_them(
         assert np.array_equal(np.load(tmp_path / "out" / "frames" / f"frame-0{k}.npy"), before)
     total = sum_of_frames(tmp_path / "out", report)
     assert np.array_equal(tifffile.imread(tmp_path / "out" / "sum.tiff"), total)
-
-
-def test_cancelled_capture_keeps_its_frames(tmp_path: Path) -> None:
-    calls: list[int] = []
-
-    def cancelled() -> bool:
-        calls.append(1)
-        return len(calls) >= 2
-
-    with small_camera() as camera, pytest.raises(InterruptedCaptureError) as failure:
-        capture(camera, GIVEN, tmp_path / "out", cancelled=cancelled)
-    assert failure.value.exit_status == 130
-    assert len(list((tmp_path / "out" / "frames").iterdir())) == 2
-    with small_camera() as camera:
-        assert resume(camera, tmp_path / "out").status == "complete"
-
-
-def test_control_c_keeps_the_frames(tmp_path: Path) -> None:
-    def interrupt(progress: Progress) -> None:
-        if progress.stage == "shooting" and progress.done >= 1:
-            raise KeyboardInterrupt
-
-    with small_camera() as camera, pytest.raises(InterruptedCaptureError, match="interrupted"):
-        capture(camera, GIVEN, tmp_path / "out", progress=interrupt)
-    assert (tmp_path / "out" / "frames" / "frame-01.npy").exists()
 
 
 @pytest.fixture
@@ -132,23 +105,3 @@ def test_resume_refuses_another_format(unfinished: Path) -> None:
         pytest.raises(DataError, match="was begun in another format of the camera; set the same"),
     ):
         resume(camera, unfinished)
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "problem"),
-    [
-        ('"white": 255', '"white": "snow"', "white: Input should be a valid integer"),
-        ('"black": ', '"black": "a", "was": ', "frames.0.black: Input should be a valid integer"),
-        ("{", "[", "Invalid JSON"),
-    ],
-)
-def test_damaged_report_is_an_error_of_one_line(
-    tmp_path: Path, before: str, after: str, problem: str
-) -> None:
-    with small_camera() as camera:
-        capture(camera, GIVEN, tmp_path / "out")
-    path = tmp_path / "out" / "report.json"
-    path.write_text(path.read_text().replace(before, after))
-    with pytest.raises(DataError, match=f"report.json is damaged: {problem}") as failure:
-        read_report(tmp_path / "out")
-    assert "\n" not in str(failure.value)

@@ -191,17 +191,6 @@ def test_frame_of_the_wrong_exposure_is_shot_again(tmp_path: Path, wrong: int) -
     assert np.median(np.abs(report.radiance() / truth.radiance() - 1)) < 0.03
 
 
-def test_existing_capture_is_replaced_only_with_overwrite(tmp_path: Path) -> None:
-    with small_camera() as camera:
-        capture(camera, GIVEN, tmp_path / "out")
-        before = (tmp_path / "out" / "sum.tiff").read_bytes()
-        with pytest.raises(StorageError, match="replace this capture"):
-            capture(camera, CaptureRequest(ratios=(1.0,)), tmp_path / "out")
-        assert (tmp_path / "out" / "sum.tiff").read_bytes() == before
-        report = capture(camera, CaptureRequest(ratios=(1.0,)), tmp_path / "out", overwrite=True)
-    assert len(report.frames) == len(list((tmp_path / "out" / "frames").iterdir())) == 1
-
-
 def test_folder_with_other_files_is_never_touched(tmp_path: Path) -> None:
     (tmp_path / "diary.txt").write_text("mine")
     with small_camera() as camera, pytest.raises(StorageError, match="is not empty"):

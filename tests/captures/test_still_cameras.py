@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from still_fakes import THIRDS, StillCamera, ramp
 
 from camctl.captures.plan import plan_capture
-from camctl.captures.sequencer import capture, resume
-from camctl.errors import CameraDisconnectedError, CaptureError, UsageError
+from camctl.captures.sequencer import capture
+from camctl.errors import CaptureError, UsageError
 from camctl.exposure.goal import CaptureRequest
 from camctl.interface.camera import Frame
 from camctl.interface.controls import Choices, ExposureSetting
@@ -38,15 +38,6 @@ class TestStillCamera(CameraConformance):
 
     def open_camera(self) -> StillCamera:
         return StillCamera(ramp(8.0), response="linear", bits=12, black=100, with_gain=True)
-
-
-def test_metering_actuates_the_shutter_only_on_request() -> None:
-    with StillCamera(ramp()) as camera:
-        with pytest.raises(UsageError, match="no preview"):
-            plan_capture(camera, CaptureRequest())
-        assert camera.actuations == 0
-        assert plan_capture(camera, CaptureRequest(base_s=1 / 60, ratios=(1, 4))).metering is None
-        assert camera.actuations == 0
 
 
 @pytest.mark.parametrize(
@@ -110,13 +101,6 @@ def test_every_plan_consists_of_settings_that_the_camera_has(
         assert sum(s.time_s for s in plan.settings) <= (budget or np.inf) * (1 + 1e-9)
 
 
-def test_gain_extends_the_longest_shutter_time() -> None:
-    with StillCamera(ramp(0.2), with_gain=True) as camera:
-        plan = plan_capture(camera, replace(METERED, dynamic_range=16000.0))
-        assert plan.settings[-1].gain > 1
-        assert plan.settings[0].gain == 1
-
-
 @pytest.mark.slow
 def test_metered_base_is_shortened_until_enough_exposures_follow() -> None:
     with StillCamera(ramp(1e-2)) as camera:
@@ -130,31 +114,12 @@ def test_metered_base_is_shortened_until_enough_exposures_follow() -> None:
         assert plan_capture(camera, replace(METERED, count=3, base_s=base_s)).base_s >= plan.base_s
 
 
-def test_base_beyond_the_longest_time_is_refused_with_the_nearest() -> None:
-    with (
-        StillCamera(ramp()) as camera,
-        pytest.raises(CaptureError, match=r"beyond the camera's .* nearest possible is 32 s"),
-    ):
-        plan_capture(camera, replace(METERED, base_s=100.0))
-
-
 def test_more_exposures_than_the_camera_has_are_refused() -> None:
     with (
         StillCamera(ramp(), times=Choices((1 / 64, 1 / 8))) as camera,
         pytest.raises(UsageError, match="at most 2"),
     ):
         plan_capture(camera, replace(METERED, count=3))
-
-
-def test_whole_flicker_periods_are_chosen_where_the_camera_has_them() -> None:
-    with StillCamera(ramp(2.0)) as camera:
-        plan = plan_capture(camera, replace(METERED, mains_hz=50.0, dynamic_range=256.0))
-    warnings = [warning for warning in plan.warnings if "flicker" in warning]
-    periods = [setting.time_s * 100 for setting in plan.settings]
-    # A part of a period matters relative to the exposure.
-    not_whole = [count for count in periods if abs(count - round(count)) > 0.01 * count]
-    assert not_whole == []
-    assert warnings == []
 
 
 def test_capture_keeps_the_cameras_own_files(tmp_path: Path, cv2: Any) -> None:
@@ -188,27 +153,6 @@ def test_radiance_is_the_light_of_the_scene(tmp_path: Path, kind: tuple[str, int
     assert np.median(error) < 0.01
     assert np.quantile(error, 0.99) < 0.1
     assert all(frame.ratio is None or frame.ratio.agrees for frame in report.frames)
-
-
-def test_resume_shoots_only_the_missing_frame(tmp_path: Path) -> None:
-    class Unplugged(StillCamera):
-        """Is disconnected during its third frame."""
-
-        def _frames(self, settings: tuple[ExposureSetting, ...]) -> Iterator[Frame]:
-            for frame in super()._frames(settings):
-                if frame.index == 2:
-                    raise CameraDisconnectedError("the still camera was disconnected")
-                yield frame
-
-    with (
-        Unplugged(ramp(20.0)) as unplugged,
-        pytest.raises(CameraDisconnectedError, match="2 of 3 frames are kept"),
-    ):
-        capture(unplugged, METERED, tmp_path / "here")
-    with StillCamera(ramp(20.0)) as camera:
-        report = resume(camera, tmp_path / "here")
-        assert camera.actuations == 1
-    assert report.status == "complete"
 
 
 class _TurnedCamera(StillCamera):

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from command_line import Run
 
-from camctl.interface.camera import Camera, CameraInfo
+from camctl.interface.camera import CameraInfo
 from camctl.interface.controls import Layout
-from camctl.profiles import calibrated
 from camctl.profiles.calibrated import open_camera
 from camctl.profiles.exposures import Correction, ExposureRecord, exposure_mode
 from camctl.profiles.folder import list_profiles
@@ -130,31 +129,6 @@ def test_impossible_calibration_is_one_line(run: Run, line: str, message: str, s
     ran = run("calibrate", "delay", *line.split())
     assert message in ran.error
     assert ran.status == status
-    assert list_profiles() == []
-
-
-def test_still_camera_has_a_timing_and_no_delay(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    opened: Camera = open_camera("sim", {"size": "32x24"})
-
-    class Still:
-        def __init__(self) -> None:
-            self.info, self.controls, self.clock = opened.info, opened.controls, opened.clock
-            self.shoot, self.close = opened.shoot, opened.close
-
-        def __enter__(self) -> Still:
-            opened.__enter__()
-            return self
-
-        def __exit__(self, *_: object) -> None:
-            self.close()
-
-    monkeypatch.setattr(calibrated, "open_camera", lambda *_: Still())
-    ran = run("calibrate", "delay")
-    assert ran.status == 0, ran.err
-    assert "control delay       none: a still camera" in ran.out
-    assert "picture to picture" in ran.out
-    timing = run("calibrate", "delay", "--json").json["timing"]
-    assert timing["jitter_s"] == pytest.approx(0, abs=1e-9)
     assert list_profiles() == []
 
 

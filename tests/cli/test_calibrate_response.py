@@ -91,12 +91,6 @@ def test_ten_bits_in_files_of_sixteen(run: Run) -> None:
     assert stated.json["channels"][0]["irradiance"] == found.json["channels"][0]["irradiance"]
 
 
-def test_estimated_exposures_are_printed(run: Run) -> None:
-    paths = write(pictures())
-    ran = run("calibrate", "response", *paths, "--times", "1,4.6,16", "--estimate-ratios", "--json")
-    assert ran.json["exposures"] == pytest.approx([1, 4, 16], rel=0.02)
-
-
 def test_the_folder_of_a_capture_is_measured(run: Run) -> None:
     small = ("--sensor", "consumer", "-O", "size=320x240")
     shot = run("shoot", *small, "--ratios", "1,2,4,8,16,32", "-o", "hall")
@@ -125,17 +119,6 @@ def test_invalid_series_are_one_line(
     assert message in ran.error
     assert "\n" not in ran.error
     assert ran.status == status
-
-
-def test_files_of_different_kinds_and_broken_ones_are_refused(run: Run) -> None:
-    first, second, third = write(pictures())
-    cv2.imwrite(str(second), np.zeros((120, 160, 3), np.uint8))
-    line = ("calibrate", "response", first, second, third, "--times", "1,4,16")
-    assert "frame-1.png is rgb, 8 bits, and frame-0.png is mono, 8 bits" in run(*line).error
-    second.write_bytes(b"no picture at all, but long enough")
-    assert "frame-1.png cannot be read: " in run(*line).error
-    second.unlink()
-    assert "cannot read frame-1.png: No such file" in run(*line).error
 
 
 def test_a_dark_scene_is_refused(run: Run) -> None:

@@ -89,12 +89,11 @@ def command_at(line: Path) -> click.Command:
     return found
 
 
-def run_alone(*arguments: str, **environment: str) -> tuple[str, set[str]]:
+def run_alone(*arguments: str) -> tuple[str, set[str]]:
     """Return the output of a command line in a process of its own, and what it imported."""
     code = "import sys; from camctl.cli import main; main(sys.argv[1:]); print(*sys.modules)"
     done = subprocess.run(
         [sys.executable, "-c", code, *arguments],
-        env={**os.environ, **environment},
         capture_output=True,
         text=True,
         check=True,
@@ -110,13 +109,20 @@ def test_help_imports_no_heavy_module() -> None:
     assert not (HEAVY | {"sim"}) & imported
 
 
-@pytest.mark.parametrize("option", ["response", "range", "scene", "sensor", "camera"])
-def test_completion_imports_no_heavy_module(option: str) -> None:
-    out, imported = run_alone(
-        _CAMCTL_COMPLETE="bash_complete", COMP_WORDS=f"camctl shoot --{option} ", COMP_CWORD="3"
+def test_completion_imports_no_heavy_module() -> None:
+    code = """import os, sys
+from camctl.cli import main
+for option in ("response", "range", "scene", "sensor", "camera"):
+    os.environ["COMP_WORDS"] = f"camctl shoot --{option} "
+    main([])
+print(*sys.modules)"""
+    environment = {**os.environ, "_CAMCTL_COMPLETE": "bash_complete", "COMP_CWORD": "3"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
     )
-    assert out
-    assert not HEAVY & imported
+    *offers, modules = done.stdout.splitlines()
+    assert {"plain,auto", "plain,high", "plain,room", "plain,phone", "plain,sim"} <= set(offers)
+    assert not HEAVY & set(modules.split())
 
 
 @pytest.mark.parametrize("line", [(), *GROUPS, *LINES])
@@ -175,7 +181,6 @@ def test_python_runs_the_package() -> None:
     assert failed.stderr == "camctl: unknown command 'shot'; did you mean shoot?\n"
 
 
-WHOLE_TO_16 = "expected a whole number from 1 to 16"
 WHOLE_TO_64 = "expected a whole number from 1 to 64"
 A_TIME = "expected a time in seconds such as 0.004 or 1/250"
 NO_PROFILES = "unknown profile 'x': there are no profiles; make one: calibrate a camera"
@@ -204,12 +209,9 @@ def test_files_cameras_and_results_that_cannot_be_used_have_status_1_in_every_co
     [
         ("shot", "unknown command 'shot'; did you mean shoot?"),
         ("table biuld", "unknown command 'biuld'; did you mean build?"),
-        ("calibrate dealy", "unknown command 'dealy'; did you mean delay"),
-        ("help table biuld", "unknown command 'biuld'; did you mean build?"),
         ("help solve x", "camctl solve has no commands of its own"),
         ("--debig", "unknown option '--debig'; did you mean --debug"),
         ("shoot --respones log", "unknown option '--respones'; did you mean --response"),
-        ("shoot --response lograrithm", "unknown response 'lograrithm'"),
         ("shoot --response liner", "unknown response 'liner'; did you mean linear?"),
         ("shoot --range hihg", "unknown dynamic range 'hihg'; did you mean high?"),
         ("shoot --set mains=55", "unknown mains frequency '55'"),
@@ -222,17 +224,13 @@ def test_files_cameras_and_results_that_cannot_be_used_have_status_1_in_every_co
         ("evaluate", "option --ratios is missing; see camctl evaluate --help"),
         ("profile show", "argument NAME is missing; see camctl profile show --help"),
         ("solve --range 1", "invalid value for --range: 1; the range must be above 1"),
-        ("solve --range 0.5", "invalid value for --range: 0.5; the range must be above 1"),
-        ("solve --range nan", "invalid value for --range: nan; the range must be above 1"),
         ("solve --range inf", "invalid value for --range: inf; the range must be finite"),
         (
             "evaluate --ratios 1,,2",
             "invalid value for --ratios: 1,,2; a value is missing beside a comma",
         ),
         ("solve -n 0", f"invalid value for --exposures: 0; {WHOLE_TO_64}"),
-        ("solve -n 65", f"invalid value for --exposures: 65; {WHOLE_TO_64}"),
         ("solve -n three", f"invalid value for --exposures: three; {WHOLE_TO_64}"),
-        ("solve --bits 17", f"invalid value for --bits: 17; {WHOLE_TO_16}"),
         (
             "solve --phase 1",
             "invalid value for --phase: 1; expected a phase of at least 0 and below 1",
@@ -241,29 +239,20 @@ def test_files_cameras_and_results_that_cannot_be_used_have_status_1_in_every_co
             "solve --levels 0",
             "invalid value for --levels: 0; expected a number of levels from 1 to 1e7",
         ),
-        (
-            "solve --levels nan",
-            "invalid value for --levels: nan; expected a number of levels from 1 to 1e7",
-        ),
         ("solve --seed -1", "invalid value for --seed: -1; expected a whole number of at least 0"),
         (
             "solve -n 16 --bits 16 --settings 1,2,3",  # before a search of half a minute
             "16 different exposures cannot be chosen from 3 settings; request at most 3",
         ),
         ("evaluate --ratios 1,-2", f"invalid value for --ratios: -2; {RATIOS}"),
-        ("evaluate --ratios 1,0", f"invalid value for --ratios: 0; {RATIOS}"),
         ("evaluate --ratios 1,1e-320", f"invalid value for --ratios: 1e-320; {RATIOS}"),
-        ("evaluate --ratios 1,inf", f"invalid value for --ratios: inf; {RATIOS}"),
         ("evaluate --ratios 1,nan", f"invalid value for --ratios: nan; {RATIOS}"),
-        ("evaluate --ratios 1,two", f"invalid value for --ratios: two; {RATIOS}"),
         ("evaluate --ratios ,", f"invalid value for --ratios: ,; {RATIOS}"),
         (
             "evaluate --ratios 1 --p 0.5",
             "invalid value for --p: 0.5; expected a number from 1 to 16",
         ),
-        ("shoot --base 0", f"invalid value for --base: 0; {A_TIME}, or auto"),
         ("shoot --base 1/0", f"invalid value for --base: 1/0; {A_TIME}, or auto"),
-        ("shoot --base soon", f"invalid value for --base: soon; {A_TIME}, or auto"),
         (
             "shoot --compensation inf",
             "invalid value for --compensation: inf; expected a number of stops",
@@ -275,6 +264,7 @@ def test_files_cameras_and_results_that_cannot_be_used_have_status_1_in_every_co
         ("shoot --ratios 1,2,4 -n 2", "--ratios has 3 exposures but -n is 2; leave -n out"),
         ("shoot --ratios 1,2 --time-budget 1", "--ratios cannot be combined with --time-budget"),
         ("shoot --ratios 1,2 --response auto", "--ratios cannot be combined with --response auto"),
+        ("shoot --gamma 0.4 --response auto", "--gamma cannot be combined with --response auto"),
         (
             "shoot -O format",
             "invalid value for --camera-option: format; expected NAME=VALUE such as format=y16",
@@ -283,13 +273,7 @@ def test_files_cameras_and_results_that_cannot_be_used_have_status_1_in_every_co
         ("shoot -O size=9x9 -O size=8x8", "camera option 'size' is given twice; give it once"),
         ("menu -O scene=room --scene room", "camera option 'scene' is given twice; give it once"),
         ("shoot -O fromat=y16", "unknown camera option 'fromat'; did you mean"),
-        ("shoot -O scenes=room", "unknown camera option 'scenes'; did you mean scene or"),
-        (
-            "calibrate delay --trials 1",
-            "invalid value for --trials: 1; expected a whole number from 2 to 10000",
-        ),
         ("profile show x", NO_PROFILES),
-        ("profile remove x", NO_PROFILES),
         ("cameras --udev-rules --json", "--udev-rules cannot be combined with --json"),
         (
             "resume x -O a=b",
@@ -307,14 +291,6 @@ def test_usage_error_is_one_line_with_status_2(run: Run, line: str, message: str
     assert ran.status == 2
     if "--json" not in line:
         assert ran.out == ""
-
-
-@pytest.mark.parametrize("line", LINES)
-def test_every_command_has_the_option_debug(run: Run, line: Path) -> None:
-    ran = run(*line, "--debug", "--no-such-option")
-    assert ran.status == 2
-    assert ran.err.endswith("\n")
-    assert "camctl: unknown option '--no-such-option'" in ran.err.splitlines()[-1]
 
 
 def fail_with(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
@@ -427,9 +403,7 @@ def test_debug_shows_the_traceback_before_the_line(
     assert ran.status == 1
 
 
-@pytest.mark.parametrize(
-    "line", ["--help", "evaluate --ratios 1,2", "evaluate --help", "evaluate --ratios 0 --json"]
-)
+@pytest.mark.parametrize("line", ["evaluate --ratios 1,2", "evaluate --ratios 0 --json"])
 def test_closed_output_is_not_an_internal_error(line: str) -> None:
     code = f"import sys; from camctl.cli import main; sys.exit(main({line.split()!r}))"
     reader, writer = os.pipe()

@@ -300,14 +300,6 @@ def test_limit_of_memory(folder: Path, size: str, megabytes: int, message: str) 
         assert "frames are kept; " in ended.err
 
 
-@SLOW
-def test_bytes_that_are_no_text_name_a_folder(folder: Path) -> None:
-    ended = camctl(folder, *SHOOT[:-1], b"out\xff")
-    assert (ended.status, ended.err) == (0, "")
-    assert damaged(folder / os.fsdecode(b"out\xff")) == []
-    assert all(character.isprintable() for line in ended.out.splitlines() for character in line)
-
-
 @pytest.mark.parametrize("name", ["out\udcff", "été\u202e", "two\nlines\x1b[31m"])
 def test_any_characters_name_a_folder(run: Run, name: str) -> None:
     ran = run(*SHOOT[:-1], name)

@@ -132,16 +132,6 @@ def test_json_of_the_folder_is_a_report(run: Run, series: Series) -> None:
     assert kept.items() <= printed.items()
 
 
-def test_as_many_photographs_as_are_asked_for_are_used(run: Run, series: Series) -> None:
-    line = (*series(TIMES[1:7]), "--curve", "srgb")
-    ran = run("merge", *line, "-n", "4", "-o", "hall")
-    assert ran.status == 0, ran.err
-    report = read_report("hall")
-    assert len(report.frames) == 4
-    used = [each["used"] for each in report.source["photographs"]]
-    assert (len(used), used.count(True)) == (6, 4)
-
-
 @pytest.mark.parametrize("suffix", some([".png", ".jpg"], every=2))
 def test_the_share_that_is_too_dark_is_predicted(run: Run, series: Series, suffix: str) -> None:
     line = (*series(TIMES[:4:3], suffix, scene=LARGE), "--curve", "srgb")

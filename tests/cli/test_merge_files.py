@@ -194,26 +194,6 @@ def test_files_of_still_cameras_are_merged_by_their_exif_data(run: Run, form: st
     assert error_of("hall", scene * np.ones(3)) < (0.01 if form == "dng" else 0.04)
 
 
-def test_the_result_says_when_and_with_which_camera_photographs_were_taken(run: Run) -> None:
-    names = []
-    for label, iso in ((250, 100), (250, 400), (60, 400)):
-        time_s = {250: 1 / 256, 60: 1 / 64}[label] * iso / 100
-        image = RawImage(photograph(time_s), Layout.RGB, 8, 0, 255, 1 / label, iso, 8.0, "D1")
-        names.append(f"p{label}-{iso}.jpg")
-        Path(names[-1]).write_bytes(encode("jpeg", image, grey=False))
-    ran = run("merge", *names, "--ratios", "1,4,16", "-o", "hall")
-    assert ran.status == 0, ran.err
-    report = read_report("hall")
-    assert report.camera.model == "D1"
-    # The times of the dial are 1/256 and 1/64 s; shutters are corrected by some percent at most.
-    assert [f.applied_s for f in report.frames] == pytest.approx(
-        [1 / 256, 1 / 256, 1 / 64], rel=0.03
-    )
-    assert [frame.applied.gain for frame in report.frames] == [1.0, 4.0, 4.0]
-    assert {frame.applied.f_number for frame in report.frames} == {8.0}
-    assert "metered" not in ran.out
-
-
 def test_times_that_are_given_replace_nothing_but_the_times(run: Run) -> None:
     names = []
     for k, (time_s, iso) in enumerate(((1 / 256, 100), (1 / 256, 400), (1 / 64, 400))):

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import json
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from command_line import Run
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from sampling import some
 
-from camctl.errors import CamctlError
 from camctl.interface.camera import CameraInfo
-from camctl.profiles.folder import import_profile, list_profiles
+from camctl.profiles.folder import list_profiles
 from camctl.profiles.profile import DelayRecord, Profile, change_profile
 
 UNKNOWN = ("--sensor", "consumer", "--scene", "ramp", "-O", "size=160x120", "-O", "unknown=yes")
@@ -168,23 +164,3 @@ def test_a_file_that_is_no_profile_is_refused(run: Run, own: Path, content: str)
     file = own / "bad.json"
     file.write_text(content)
     assert run("profile", "import", str(file)).error.startswith(f"{file} is damaged: ")
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data())
-def test_no_changed_profile_is_an_internal_error(own: Path, data: st.DataObject) -> None:
-    value = Profile.of(CAMERA).model_dump()
-    value["delays"] = {"mode": DELAY.model_dump()}
-    name = data.draw(st.sampled_from(sorted(value)))
-    value[name] = data.draw(
-        st.none()
-        | st.booleans()
-        | st.integers()
-        | st.floats()
-        | st.text()
-        | st.dictionaries(st.text(), st.integers())
-    )
-    file = own / "changed.json"
-    file.write_text(json.dumps(value))
-    with suppress(CamctlError):  # anything else fails the test
-        import_profile(file, replace=lambda _earlier: True)

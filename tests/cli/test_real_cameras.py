@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import functools
 import json
 import os
 from collections.abc import Callable, Iterator
@@ -20,8 +19,6 @@ from v4l2_model import Model
 from virtual_usb_bus import VirtualBackend
 
 from camctl.drivers.common.usb import UDEV_RULES
-from camctl.drivers.coolpix import backend as coolpix_backend
-from camctl.drivers.coolpix.camera import CoolpixCamera
 from camctl.drivers.v4l2 import backend as v4l2
 from camctl.drivers.v4l2.camera import V4l2Camera, V4l2Options
 from camctl.drivers.v4l2.kernel import Linux
@@ -64,11 +61,8 @@ def error_of(run: Run, *arguments: str) -> str:
         ("coolpix:socket://localhost:1", "no server listens at that address; start the program"),
     ],
 )
-@pytest.mark.parametrize("command", [("shoot",), ("calibrate", "delay")])
-def test_camera_that_does_not_exist(
-    run: Run, command: tuple[str, ...], camera: str, message: str
-) -> None:
-    assert message in error_of(run, *command, "--camera", camera)
+def test_camera_that_does_not_exist(run: Run, camera: str, message: str) -> None:
+    assert message in error_of(run, "calibrate", "delay", "--camera", camera)
 
 
 @pytest.mark.parametrize(
@@ -227,38 +221,6 @@ def test_still_camera_has_times_and_no_delay_and_meters_only_with_the_option(
     assert "--meter" in error_of(run, "shoot", "--camera", "ptp")
 
 
-@pytest.mark.parametrize(
-    ("config", "action", "message"),
-    [
-        ({"mode": "auto"}, None, "turn the mode dial to m"),
-        ({}, "card_full", "card"),
-        ({}, "battery_low", "batter"),
-    ],
-)
-def test_condition_of_a_still_camera_is_reported(
-    run: Run,
-    still: Callable[..., VirtualStill],
-    config: dict[str, str],
-    action: str | None,
-    message: str,
-) -> None:
-    device = still(files="tiff", **config)
-    if action is not None:
-        device.do(action)
-    ran = run("shoot", "--camera", "ptp", *BASE, "-o", "here")
-    assert ran.status == 1
-    line = ran.err.splitlines()[-1]
-    assert message in line.lower()
-    assert line.startswith("camctl: ")
-    assert ";" in line
-
-
-def test_other_still_cameras_are_named(run: Run, still: Callable[..., VirtualStill]) -> None:
-    still(files="tiff", serial="A77")
-    error = error_of(run, "shoot", "--camera", "ptp:B")
-    assert error == "there is no still camera ptp:B; connected: ptp:A77"
-
-
 def test_still_camera_without_permission_needs_the_udev_rules(
     run: Run, monkeypatch: pytest.MonkeyPatch, still: Callable[..., VirtualStill]
 ) -> None:
@@ -288,16 +250,6 @@ def test_coolpix_shoots(run: Run, coolpix: SierraDevice) -> None:
     output = run(*arguments, "-O", "format=tiff", "-O", "response=linear", "--json").json
     assert output["status"] == "complete"
     assert output["source"]["options"] == {"format": "tiff", "response": "linear"}
-
-
-def test_serial_line_with_invalid_responses_is_no_camera(
-    run: Run, coolpix: SierraDevice, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    impatient = functools.partial(CoolpixCamera, timeout_s=0.5)
-    monkeypatch.setattr(coolpix_backend, "CoolpixCamera", impatient)
-    coolpix.do("garbage", count=1_000_000)
-    error = error_of(run, "shoot", "--camera", f"coolpix:{coolpix.line.path}", *BASE)
-    assert coolpix.line.path in error
 
 
 def test_coolpix_is_found_only_with_probe(

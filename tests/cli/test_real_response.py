@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 from command_line import Run
-from sampling import some
 
 MODEL = """E =
 0 0.25 0.5
@@ -81,38 +80,6 @@ def test_power_curve(run: Run) -> None:
             MODEL,
             ["--coefficients", "nan"],
             "invalid value for --coefficients: nan; expected numbers such as",
-            2,
-        ),
-        (
-            MODEL,
-            ["--coefficients", "a"],
-            "invalid value for --coefficients: a; expected numbers such as",
-            2,
-        ),
-        (
-            MODEL,
-            ["--coefficients", ","],
-            "invalid value for --coefficients: ,; expected numbers such as",
-            2,
-        ),
-        (
-            "E =\n0 1\nf0 =\n0 x\n",
-            ["--coefficients", "0"],
-            "line 4: '0 x' is not a row of numbers",
-            1,
-        ),
-        ("E =\n0 1\nf0 =\n0\n", ["--coefficients", "0"], "block 'f0' has 1 numbers, expected 2", 1),
-        ("E =\n0 1\n", ["--coefficients", "0"], "response model c: the block 'f0 =' is missing", 1),
-        ("0 0\n1 inf\n", [], "row 2 contains a number that is not finite", 1),
-        ("0 0\nnan 1\n", [], "row 2 contains a number that is not finite", 1),
-        ("-1 0\n1 1\n", [], "irradiance -1 is negative", 1),
-        ("0 0 0\n1 1 1\n", [], "curve c, line 1: expected 2 columns, found 3", 1),
-        ("0 0\n", [], "expected two or more rows of irradiance and brightness", 1),
-        ("", [], "curve c: the file contains no numbers", 1),
-        (
-            "0 0\n1 1",
-            ["--bits", "17"],
-            "invalid value for --bits: 17; expected a whole number from 1 to 16",
             2,
         ),
     ],
@@ -222,13 +189,11 @@ def test_exposure_is_made_with_the_smallest_gain(run: Run) -> None:
             ["--settings", "1:0.1:0.1"],
             "invalid settings 1 to 0.1 in steps of 0.1: expected 0 < minimum",
         ),
-        (["--settings", "0.1:1:0"], "invalid value for --settings: 0; expected a time in seconds"),
         (
             ["--settings", "0.1:1:-1"],
             "invalid value for --settings: -1; expected a time in seconds",
         ),
         (["--settings", "1:2"], "invalid value for --settings: 1:2; expected a file of times"),
-        (["--settings", "1:2:x"], "invalid value for --settings: x; expected a time in seconds"),
         (["--settings", "1e-6:1:1e-6"], "too many settings (1000000): expected at most 200000"),
         (["--settings", ","], "invalid value for --settings: ,; expected a file of times"),
         (["--gains", "1,2"], "--gains needs --settings; give the shutter times"),
@@ -244,10 +209,6 @@ def test_exposure_is_made_with_the_smallest_gain(run: Run) -> None:
             ["--settings", "1,2", "--gains", "1,2", "--total-limit", "9"],
             "--gains cannot be combined with --total-limit",
         ),
-        (
-            ["--settings", "1,2", "-n", "3"],
-            "3 different exposures cannot be chosen from 2 settings",
-        ),
     ],
 )
 def test_invalid_settings_are_one_line(run: Run, arguments: list[str], message: str) -> None:
@@ -262,15 +223,14 @@ def write_log_curve(path: Path, dynamic_range: float) -> None:
     path.write_text("\n".join(f"{E} {u}" for E, u in rows))
 
 
-@pytest.mark.parametrize("option", some(["--desired", "--response"], every=2, first=1))
-def test_desired_response_from_a_file_has_its_own_range(run: Run, option: str) -> None:
+def test_desired_response_from_a_file_has_its_own_range(run: Run) -> None:
     write_log_curve(Path("desired.txt"), 100)
     arguments = ("evaluate", "--ratios", "1,9", "--no-sensitivity", "--json")
-    table = run(*arguments, option, "desired.txt").json
+    table = run(*arguments, "--response", "desired.txt").json
     closed = run(*arguments, "--response", "log", "--range", "100").json
     assert table["dynamic_range"] == pytest.approx(100)
     assert table["xi"] == pytest.approx(closed["xi"], rel=0.01)
-    assert solved(run, option, "desired.txt", "-n", "2", "--bits", "5")["xi"] > 0
+    assert solved(run, "--response", "desired.txt", "-n", "2", "--bits", "5")["xi"] > 0
 
 
 @pytest.mark.parametrize(
@@ -288,7 +248,6 @@ def test_desired_response_from_a_file_has_its_own_range(run: Run, option: str) -
             "--response FILE cannot be combined with --range; the file defines response and range",
             2,
         ),
-        ("--desired falling.txt --response log", "--desired cannot be combined with --resp", 2),
         ("--response falling.txt --gamma 0.3", "--response FILE cannot be combined with --ga", 2),
         ("--response lug", "unknown response 'lug'; did you mean log", 2),
     ],

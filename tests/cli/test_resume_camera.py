@@ -81,14 +81,6 @@ def test_the_command_after_a_failure_names_a_camera_of_another_machine(
     assert with_remedies("", remedies) == f"(camctl resume 'red hall'{named})"
 
 
-def test_other_options_are_refused_beside_the_camera(run: Run, begun: Path) -> None:
-    ran = resume(run, "--camera", "sim", "-n", "2")
-    assert ran.status == 2
-    assert ran.error.startswith("unknown option '-n'; the capture goes on")
-    ran = resume(run, *SMALL[:2])
-    assert ran.error.startswith("--camera-option needs --camera here; ")
-
-
 @pytest.mark.parametrize(
     ("camera_id", "options", "expected"),
     [

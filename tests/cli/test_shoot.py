@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import tifffile
 from command_line import Run
 
-from camctl.interface.camera import Frame
-from camctl.interface.controls import ExposureSetting
 from camctl.profiles import calibrated
 from camctl.sim.camera import Faults, SimulatedCamera
 from camctl.sim.scenes.scene import load_scene
@@ -89,15 +86,6 @@ def test_json_output_is_the_report(run: Run) -> None:
     assert report["files"]
 
 
-def test_sum_is_that_of_the_frames_in_the_report(run: Run) -> None:
-    report = shot(run, "-o", "here", "--sensor", "phone", "--ratios", "1,8,64")
-    total = sum(
-        np.minimum(np.load(Path("here", each["file"])), each["white"]).astype(np.int64)
-        for each in report["frames"]
-    )
-    assert np.array_equal(tifffile.imread("here/sum.tiff"), total)
-
-
 def test_options_reach_plan_and_request(run: Run) -> None:
     report = shot(run, "-o", "a", "--ratios", "4,1,2", "--base", "1/500", "--set", "levels=300")
     assert report["plan"]["ratios"] == [1, 2, 4]
@@ -116,21 +104,6 @@ def test_options_reach_plan_and_request(run: Run) -> None:
     assert shot(run, "-o", "e", "--ratios", "1,2", "--meter")["request"]["spend_shutter"] is True
 
 
-@pytest.mark.slow
-def test_any_gamma_is_the_desired_response(run: Run) -> None:
-    arguments = ("--sensor", "ideal-4", "-n", "2", "--set", "objective=xi", "--range", "medium")
-    report = shot(run, *arguments, "--gamma", "0.45", "-o", "a")
-    assert report["request"]["response"] == report["plan"]["response"] == "gamma"
-    assert report["request"]["gamma"] == 0.45
-    usual = shot(run, *arguments, "--response", "gamma", "-o", "b")
-    assert "gamma" not in usual["request"]
-    assert report["plan"]["ratios"] != usual["plan"]["ratios"]
-    found = run("solve", "--bits", "4", "--gamma", "0.45", "-n", "2", "--json").json
-    assert report["plan"]["ratios"] == pytest.approx(found["exposures"])
-    text = run("shoot", *SMALL, *arguments, "--gamma", "0.45", "-o", "c").out
-    assert "desired            gamma 0.45, 1:1,000, in 2 exposures\n" in text
-
-
 def test_desired_response_comes_from_a_file(run: Run) -> None:
     rows = [(0.01, 0.0), (0.1, 0.7), (1.0, 1.0)]
     Path("desired.txt").write_text("\n".join(f"{E} {u}" for E, u in rows))
@@ -145,36 +118,6 @@ def test_desired_response_comes_from_a_file(run: Run) -> None:
     Path("a/report.json").write_text(json.dumps({**again, "status": "incomplete"}))
     Path("a/frames/frame-02.npy").unlink()
     assert run("resume", "a", "--json").json["plan"] == report["plan"]
-
-
-@pytest.mark.parametrize(
-    ("line", "message", "status"),
-    [
-        ("--response missing.txt", "cannot read curve missing.txt: No such file", 1),
-        ("--response flat.txt", "invalid desired response 'flat.txt': u must not decrease and", 1),
-        ("--response flat.txt --range low", "--response FILE cannot be combined with --range", 2),
-        ("--gamma 0.45 --response auto", "--gamma cannot be combined with --response auto", 2),
-        ("--gamma 0", "invalid value for --gamma: 0; expected an exponent from 0.01 to 100", 2),
-        ("--gamma 200", "invalid value for --gamma: 200; expected an exponent from 0.01 to 100", 2),
-    ],
-)
-def test_invalid_desired_response_is_one_line(
-    run: Run, line: str, message: str, status: int
-) -> None:
-    Path("flat.txt").write_text("0.1 1\n1 1\n")
-    ran = run("shoot", *SMALL, *line.split())
-    assert message in ran.error
-    assert ran.status == status
-    assert [path.name for path in Path().iterdir()] == ["flat.txt"]
-
-
-def test_seed_determines_the_noise(run: Run) -> None:
-    arguments = ("--ratios", "1,2", "--base", "0.01")
-    for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
-        shot(run, *arguments, "-O", f"seed={seed}", "-o", name)
-    sums = [tifffile.imread(f"{name}/sum.tiff") for name in "abc"]
-    assert np.array_equal(sums[0], sums[1])
-    assert not np.array_equal(sums[0], sums[2])
 
 
 def test_warnings_go_to_standard_error(run: Run) -> None:
@@ -202,15 +145,6 @@ def test_earlier_capture_is_replaced_only_with_force(run: Run) -> None:
     assert Path("here/sum.tiff").read_bytes() != before
 
 
-def test_folder_with_other_files_is_never_replaced(run: Run) -> None:
-    Path("here").mkdir()
-    Path("here/letter.txt").write_text("dear")
-    ran = run("shoot", *SMALL, "-o", "here", "--force")
-    assert ran.status == 1
-    assert "here is not empty" in ran.error
-    assert Path("here/letter.txt").read_text() == "dear"
-
-
 class FaultyBackend:
     """The simulated camera, with faults the first time it is opened."""
 
@@ -222,21 +156,6 @@ class FaultyBackend:
         scene = load_scene("tile-floor", (48, 64))
         seed = int(options.get("seed", "0"))
         return SimulatedCamera(scene, load_sensor("standard"), seed=seed, faults=faults)
-
-
-def test_resume_completes_a_broken_capture(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(calibrated, "load", lambda *_: FaultyBackend)
-    FaultyBackend.faults = Faults(unplug_after=1)
-    broken = run("shoot", "-O", "seed=4", "-o", "here")
-    assert broken.status == 1
-    assert "camctl resume here" in broken.error
-    kept = json.loads(Path("here/report.json").read_text())
-    assert kept["source"] == {"camera": "sim", "options": {"seed": "4"}}
-    assert kept["status"] == "incomplete"
-    ran = run("resume", "here", "--json")
-    assert ran.json["status"] == "complete"
-    assert all(ran.json["frames"])
-    assert ran.json["plan"] == kept["plan"]
 
 
 def test_untrustworthy_capture_ends_with_status_3(
@@ -268,29 +187,6 @@ def test_a_frame_shot_again_and_a_fault_that_did_not_happen_are_named(run: Run) 
     assert "fault" not in ran.err
 
 
-def test_interrupted_capture_can_be_resumed_once(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    shoot = SimulatedCamera.shoot
-
-    def shoot_one_frame(
-        self: SimulatedCamera, settings: Sequence[ExposureSetting]
-    ) -> Generator[Frame, None, None]:
-        frames = shoot(self, settings)
-        yield next(frames)
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(SimulatedCamera, "shoot", shoot_one_frame)
-        ran = run("shoot", *SMALL, "-n", "3", "-o", "here")
-    assert ran.status == 130
-    assert "camctl resume here" in ran.error
-    assert run("resume", "here").status == 0
-    again = run("resume", "here")
-    assert again.status == 1
-    assert again.error == (
-        "the capture in here is complete: all 3 frames were shot; take another picture"
-    )
-
-
 def test_complete_capture_is_reported_without_its_camera(
     run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -311,20 +207,6 @@ def test_resume_needs_the_camera_in_the_report(run: Run) -> None:
     ran = run("resume", "here")
     assert ran.error.startswith("here/report.json does not name the camera to open; ")
     assert ran.status == 1
-
-
-def test_camera_options_are_kept_for_resuming(run: Run) -> None:
-    arguments = ("-O", "scene=room", "-O", "sensor=phone", "--ratios", "1,8,64")
-    report = shot(run, *arguments, "-o", "here")
-    options = {"scene": "room", "sensor": "phone", "size": "64x48"}
-    assert report["source"] == {"camera": "sim", "options": options}
-    assert report["layout"] == "rggb"
-    Path("here/frames/frame-02.npy").unlink()
-    report = json.loads(Path("here/report.json").read_text())
-    Path("here/report.json").write_text(json.dumps({**report, "status": "incomplete"}))
-    again = run("resume", "here", "--json").json
-    assert again["layout"] == "rggb"
-    assert all(again["frames"])
 
 
 def test_scene_name_is_kept_even_if_a_file_has_that_name(run: Run) -> None:
@@ -386,20 +268,6 @@ def test_impossible_capture_is_one_line_and_leaves_nothing(
     assert message in ran.error
     assert ran.status == status
     assert {path.name for path in Path().iterdir()} == before
-
-
-@pytest.mark.parametrize(
-    ("folder", "message"),
-    [
-        ("missing", "missing holds no capture: report.json is missing"),
-        ("damaged", "report.json is damaged"),
-    ],
-)
-def test_what_is_no_capture_is_not_resumed(run: Run, folder: str, message: str) -> None:
-    Path("damaged").mkdir()
-    Path("damaged/report.json").write_text('{"status": "complete"}')
-    ran = run("resume", folder)
-    assert (ran.status, message in ran.error) == (1, True)
 
 
 @pytest.mark.parametrize(

@@ -143,7 +143,7 @@ def test_signal_ends_a_command(
     assert ran.status == 128 + number
     assert ran.error == f"interrupted{by}{end}"
     assert cameras.closed == cameras.opened
-    if "--resume" in end:
+    if "camctl resume" in end:
         assert checked(Path("out"))["wrong"] == []
 
 

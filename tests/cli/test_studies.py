@@ -59,20 +59,14 @@ def test_xi_of_a_row_is_that_of_its_exposures(run: Run) -> None:
         assert found["xi"] == pytest.approx(row["xi"], rel=1e-9)
 
 
-def test_solver_rows_can_be_run_again(run: Run, tmp_path: Path) -> None:
-    methods = ("--methods", "camctl,grid")
-    first = run(*QUICK_SOLVER, *methods, "--json", "--workers", "1")
+@pytest.mark.parametrize(
+    "line", [(*QUICK_SOLVER, "--methods", "camctl,grid"), QUICK_SIMULATION], ids=" ".join
+)
+def test_rows_can_be_run_again(run: Run, tmp_path: Path, line: tuple[str, ...]) -> None:
+    first = run(*line, "--json", "--workers", "1")
     file = tmp_path / "rows.json"
     file.write_text(first.out)
-    again = run("tradeoff", "solver", "--again", file, "--json", "--workers", "1")
-    assert without_times(again.json) == without_times(first.json)
-
-
-def test_simulation_rows_can_be_run_again(run: Run, tmp_path: Path) -> None:
-    first = run(*QUICK_SIMULATION, "--json", "--workers", "1")
-    file = tmp_path / "rows.json"
-    file.write_text(first.out)
-    again = run("tradeoff", "simulation", "--again", file, "--json", "--workers", "1")
+    again = run(*line[:2], "--again", file, "--json", "--workers", "1")
     assert without_times(again.json) == without_times(first.json)
 
 

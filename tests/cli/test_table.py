@@ -32,12 +32,6 @@ def test_show_prints_all_rows_or_some(run: Run) -> None:
     assert "camera: linear 8 bit" in text
 
 
-def test_show_says_beside_each_figure_that_noise_is_unknown(run: Run) -> None:
-    text = run("table", "show", "-n", "3").out
-    assert text.count("noise unknown: quantisation only") == 9
-    assert "name one with --sensor" in text
-
-
 def test_show_has_the_exposures_chosen_by_accuracy_for_a_sensor(run: Run) -> None:
     options = ("--sensor", "standard", "-n", "3", "--range", "medium")
     rows = run("table", "show", *options, "--json").json["entries"]

@@ -194,13 +194,6 @@ def test_a_moving_target_is_found_by_sensors_whose_charge_spreads(sensor: str) -
     assert share > 10 * stated
 
 
-@pytest.mark.parametrize("sensor", some(["standard", "phone", "ideal-6"], every=2))
-def test_things_that_moved_are_not_shot_again(sensor: str) -> None:
-    with camctl.open_camera("sim", scene="moving-target", sensor=sensor, size="240x180") as camera:
-        report = camctl.capture(camera, camctl.CaptureRequest(ratios=(1.0, 2.0, 8.0)))
-    assert [frame.attempts for frame in report.frames] == [1, 1, 1]
-
-
 def compressed(picture: Floats, quality: int) -> NDArray[Any]:
     """Return light, 1 at full scale, as a JPEG file in sRGB shows it; (rows, columns, 3)."""
     cv2 = pytest.importorskip("cv2", reason="OpenCV is blocked")

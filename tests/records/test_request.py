@@ -13,13 +13,12 @@ from sampling import some
 from small_cameras import small_camera
 
 from camctl.captures.plan import plan_capture
-from camctl.captures.sequencer import capture, resume
-from camctl.errors import CameraDisconnectedError, DataError, UsageError
+from camctl.captures.sequencer import capture
+from camctl.errors import DataError, UsageError
 from camctl.exposure.goal import RANGE_WITHOUT_LIGHT, CaptureRequest
 from camctl.model.response.desired import GammaDesired, LinearDesired
 from camctl.model.response.names import RANGES
 from camctl.records.folder_store import read_capture
-from camctl.sim.camera import Faults
 
 CURVE = ((0.01, 0.0), (0.1, 0.6), (1.0, 1.0))
 
@@ -67,18 +66,14 @@ CURVE = ((0.01, 0.0), (0.1, 0.6), (1.0, 1.0))
         ({"dynamic_range": None}, "invalid dynamic_range None: expected a number"),
         ({"clip_percent": 1, "base_s": 0.1}, "a share of clipped samples needs metering"),
         ({"clip_percent": 51}, "invalid share of clipped samples 51 %: expected 0 to 50 %"),
-        ({"clip_percent": -1}, "invalid share of clipped samples -1 %"),
         ({"clip_percent": math.nan}, "invalid share of clipped samples nan %"),
         ({"ratios": "1,2"}, "invalid ratios '1,2': expected numbers such as"),
         ({"ratios": ()}, "no exposure ratios: expected at least one, such as 1,2,4"),
         ({"ratios": (1.0, 0.0)}, "invalid exposure ratio 0: expected a positive, finite number"),
-        ({"ratios": (1.0, -2.0)}, "invalid exposure ratio -2: expected a positive, finite"),
         ({"ratios": (math.nan,)}, "invalid exposure ratio nan: expected a positive, finite"),
-        ({"ratios": (math.inf, 1.0)}, "invalid exposure ratio inf: expected a positive, finite"),
         ({"base_s": -1.0}, "invalid base exposure in seconds -1: expected a positive, finite"),
         ({"levels_wanted": 0.0}, "invalid number of desired levels 0: expected 1 to 10,000,000"),
         ({"time_budget_s": 0.0}, "invalid time budget in seconds 0: expected a positive, finite"),
-        ({"mains_hz": -50.0}, "invalid mains frequency -50 Hz: expected 50 or 60"),
         ({"mains_hz": 100}, "invalid mains frequency 100 Hz: expected 50 or 60"),
         ({"compensation_stops": math.inf}, "invalid compensation inf: expected -64 to 64 stops"),
         ({"tolerance": -1.0}, "invalid tolerance -1: expected a number of levels from 0"),
@@ -173,30 +168,6 @@ def test_desired_response_reaches_plan_report_and_image(
     code = report.image()
     is_close = (code >= 65535 * darkest - 1) & (code <= 65535 * brightest + 1)
     assert is_close[(irradiance > 2 * desired.e_min) & (report.mask() == 0)].all()
-
-
-@pytest.mark.parametrize(
-    "request_",
-    some(
-        [
-            CaptureRequest("gamma", 256.0, 2, gamma=0.45),
-            CaptureRequest("curve", count=2, desired_curve=CURVE),
-        ],
-        every=2,
-        first=1,
-    ),
-    ids=["gamma", "curve"],
-)
-def test_resume_keeps_the_desired_response(request_: CaptureRequest, tmp_path: Path) -> None:
-    with (
-        small_camera(faults=Faults(unplug_after=1)) as camera,
-        pytest.raises(CameraDisconnectedError),
-    ):
-        capture(camera, request_, tmp_path / "out")
-    with small_camera() as camera:
-        report = resume(camera, tmp_path / "out")
-    assert request_.desired is not None
-    assert report.plan.desired.key == request_.desired.key
 
 
 def test_exponents_have_plans_of_their_own() -> None:

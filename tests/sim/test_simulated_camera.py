@@ -19,12 +19,12 @@ from camctl.errors import (
     CameraTimeoutError,
     RefusedSettingError,
 )
-from camctl.interface.camera import Camera, Frame, PreviewingCamera, StreamingCamera
+from camctl.interface.camera import Camera, Frame
 from camctl.interface.clock import RealClock
 from camctl.interface.controls import ExposureSetting
 from camctl.sim.camera import SILENCE_S, Faults, SimulatedCamera
 from camctl.sim.scenes.scene import load_scene
-from camctl.sim.sensors.sensor import load_sensor, sensor_names
+from camctl.sim.sensors.sensor import load_sensor
 from camctl.sim.streaming_device import QUEUE
 from camctl.testing.conformance import CameraConformance
 
@@ -84,12 +84,6 @@ class TestRealTimeConforms(CameraConformance):
         assert stamps_s[-1] - stamps_s[0] <= (len(settings) - 1 + allowed + 0.5) * self.interval_s
 
 
-def test_camera_previews_and_streams() -> None:
-    with open_steady() as camera:
-        assert isinstance(camera, PreviewingCamera)
-        assert isinstance(camera, StreamingCamera)
-
-
 def test_camera_opens_again_with_a_new_stream() -> None:
     with open_steady() as camera:
         (first,) = camera.shoot(lines(10))
@@ -99,21 +93,6 @@ def test_camera_opens_again_with_a_new_stream() -> None:
             assert camera.device.upcoming == 0
             (again,) = camera.shoot(lines(10))
     assert np.array_equal(first.pixels, again.pixels)
-
-
-@pytest.mark.parametrize("name", sensor_names())
-def test_every_sensor_makes_a_camera(name: str) -> None:
-    with SimulatedCamera(load_scene("room", (20, 30)), load_sensor(name)) as camera:
-        setting = ExposureSetting(camera.controls.time_s.nearest(0.01))
-        (frame,) = camera.shoot([setting])
-        assert frame.pixels.shape[:2] == (20, 30)
-
-
-def test_gain_and_time_are_set_together() -> None:
-    bracket = [ExposureSetting(t * 2.0**-10, g) for t, g in ((9, 1.0), (9, 4.0), (30, 2.0))]
-    with open_steady() as camera:
-        for frame in camera.shoot(bracket):
-            check_exposure(camera, frame)
 
 
 def test_device_clamps_silently_and_the_camera_refuses() -> None:
@@ -131,34 +110,11 @@ def test_device_clamps_silently_and_the_camera_refuses() -> None:
         assert camera.clock.now() == before
 
 
-def test_same_seed_gives_the_same_frames() -> None:
-    def pictures(seed: int) -> list[np.ndarray]:
-        scene = load_scene("ball", (30, 40))
-        with SimulatedCamera(scene, load_sensor("webcam"), seed=seed) as camera:
-            times = [camera.controls.time_s.nearest(t) for t in (0.01, 0.02)]
-            return [f.pixels for f in camera.shoot([ExposureSetting(t) for t in times])]
-
-    assert all(np.array_equal(a, b) for a, b in zip(pictures(4), pictures(4), strict=True))
-    assert not np.array_equal(pictures(4)[0], pictures(5)[0])
-
-
 def test_two_frames_with_one_setting_have_different_noise() -> None:
     with SimulatedCamera(load_scene("ramp", (30, 40)), load_sensor("phone")) as camera:
         setting = ExposureSetting(camera.controls.time_s.nearest(0.01))
         first, second = camera.shoot([setting, setting])
         assert not np.array_equal(first.pixels, second.pixels)
-
-
-def test_one_sequence_at_a_time() -> None:
-    with open_steady() as camera:
-        frames = camera.shoot(lines(10, 20, 30))
-        next(frames)
-        with pytest.raises(CameraBusyError, match="finish or close"):
-            camera.shoot(lines(10))
-        with pytest.raises(CameraBusyError):
-            camera.preview(lines(10)[0])
-        frames.close()
-        assert works(camera)
 
 
 def test_two_sequences_created_together_do_not_both_run() -> None:
