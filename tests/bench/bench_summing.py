@@ -4,8 +4,7 @@
 
 Each frame is read, and the running sum is read and written.  Rivals, in the same rounds and on one
 thread: `np.copyto` (memmove) that moves as many bytes (half read, half written), and OpenCV's
-accumulate, which sums in float32 and does not clip.  Then the pass that remains after the last
-frame (the sum to irradiance), and OpenCV's two ways to combine the same frames.
+accumulate, which sums in float32 and does not clip.
 """
 
 from __future__ import annotations
@@ -13,25 +12,16 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 from unittest import mock
 
 import cv2
 import numpy as np
 
-from camctl.model.effective import EffectiveCamera
-from camctl.model.inverse import Posterior
-from camctl.model.noise import FrameNoise
-from camctl.model.response.camera import linear_response
-from camctl.model.response.desired import desired_response
 from camctl.pictures import accumulator
 from camctl.pictures.accumulator import Accumulator
 from camctl.pictures.compiled_sum import load
 from camctl.system.compiled_functions import LoadedLater
-
-WHITE = 250
-_STRIP = 1 << 20
 
 
 def seconds(work: Callable[[], object]) -> float:
@@ -79,45 +69,8 @@ def sums(bits: int, white: int, shape: tuple[int, int], count: int, rounds: int)
         )
 
 
-def combining(name: str, shape: tuple[int, ...], count: int) -> None:
-    """Print what all frames of `shape` cost, with the last pass, and OpenCV's ways."""
-    rng = np.random.default_rng(0)
-    block = rng.integers(0, 256, (count, 1 << 20), dtype=np.uint8)
-    frames = [np.resize(each, shape) for each in block]
-    total = Accumulator(shape, np.dtype(np.uint8), count, WHITE)
-    total.total.fill(0)  # its memory is mapped before the first frame arrives
-    add = float(np.median([seconds(partial(total.accumulate, frame)) for frame in frames]))
-    real = linear_response(8, levels=WHITE)
-    exposures = [1.0, 3.98, 16.0, 64.2, 305.4, 1130.0][:count]
-    effective = EffectiveCamera.of(real, exposures)
-    noise = [FrameNoise(40.0, 0.1)] * count
-    posterior = Posterior(effective, desired_response("log", 16000), noise)
-    irradiance = posterior.inverse.E.astype(np.float32)
-    flat = total.total.reshape(-1)
-
-    def last_pass() -> None:
-        for start in range(0, flat.size, _STRIP):
-            irradiance[flat[start : start + _STRIP]]
-
-    after = seconds(last_pass)
-    whole = count * add + after
-    print(f"{name:5} {count} frames and the last pass {whole * 1e3:7.1f} ms   ratio 1.00")
-    times = np.array(exposures, np.float32)
-    rivals = {
-        "MergeDebevec": lambda: cv2.createMergeDebevec().process(frames, times),
-        "MergeMertens": lambda: cv2.createMergeMertens().process(frames),
-    }
-    for rival, work in rivals.items():
-        try:
-            spent = seconds(work)
-        except cv2.error as error:
-            print(f"      cv2 {rival}: refuses these frames ({error.err})")
-            continue
-        print(f"      cv2 {rival:14} {spent * 1e3:12.1f} ms   ratio {spent / whole:.0f}")
-
-
 def main() -> None:
-    """Measure mono and colour."""
+    """Measure frames of 8, 12 and 16 bits."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--megapixels", type=float, default=24)
     parser.add_argument("--frames", type=int, default=6)
@@ -126,10 +79,8 @@ def main() -> None:
     columns = round((chosen.megapixels * 1e6 * 1.5) ** 0.5) // 2 * 2
     rows = round(chosen.megapixels * 1e6 / columns) // 2 * 2
     cv2.setNumThreads(1)
-    for bits, white in ((8, WHITE), (12, 4000), (16, 65000)):
+    for bits, white in ((8, 250), (12, 4000), (16, 65000)):
         sums(bits, white, (rows, columns), chosen.frames, chosen.rounds)
-    for name, shape in (("mono", (rows, columns)), ("RGB", (rows, columns, 3))):
-        combining(name, shape, chosen.frames)
 
 
 if __name__ == "__main__":

@@ -63,3 +63,13 @@ def test_sony_requires_its_handshake() -> None:
     host.do(0x9201, 3, 0, 0)
     assert listed == (0xC8,)
     host.do(0x9209)
+
+
+def test_a_step_of_an_older_sony_is_the_next_shorter_time() -> None:
+    device, host = connected(vendor="sony", absolute=False)
+    for step in (1, 2, 3):
+        host.do(0x9201, step, 0, 0)
+    host.do(0x9205, 0xD25A, data=b"\x01")  # the host sets the exposure
+    for steps, time_s in ((1, 1 / 13), (-2, 1 / 8), (127, 1 / 8000)):
+        host.do(0x9207, 0xD20D, data=struct.pack("b", steps))
+        assert device.responder.exposure_time_s() == time_s
