@@ -50,14 +50,6 @@ class TestFaults:
         assert np.array_equal(second.pixels[..., 0], device.body.sensor.expose(0.008))
         assert len(device.camera.pictures) == 3
 
-    def test_an_incomplete_download_is_repeated(self, device: SierraDevice) -> None:
-        with coolpix_on(device) as camera:
-            learn_format(camera)
-            do_once(camera, "read", Register.PICTURE_DATA, lambda: device.do("truncate", count=1))
-            (frame,) = shoot(camera, SETTINGS[:1])
-        assert np.array_equal(frame.pixels[..., 0], device.body.sensor.expose(0.002))
-        assert len(device.camera.pictures) == 2
-
     def test_a_camera_that_hangs_is_reported_in_time(self, device: SierraDevice) -> None:
         with coolpix_on(device) as camera:
             learn_format(camera)

@@ -75,15 +75,6 @@ class TestRealTime:
             assert "at 19200 baud" in camera.controls.notes[0]
         assert np.array_equal(frame.pixels[..., 0], device.body.sensor.expose(0.002))
 
-    def test_a_url_that_logs_the_traffic(
-        self, device: SierraDevice, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        url = f"spy://{device.line.path}"
-        with coolpix_on(device, url) as camera:
-            assert camera.info.id == f"coolpix:{url}"
-            assert len(shoot(camera)) == 2
-        assert "1B 53" in capsys.readouterr().err
-
 
 class TestOpening:
     def test_the_constructor_sends_nothing_and_open_can_be_repeated(

@@ -10,7 +10,6 @@ from contextlib import closing, contextmanager, suppress
 from typing import Any, ClassVar
 
 import gphoto2_client
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -21,7 +20,7 @@ from network_bench import (
     transport_on,
     virtual_camera,
 )
-from ptp_bench import camera_on, in_force, settings_at, shoot
+from ptp_bench import in_force, settings_at, shoot
 
 import camctl
 from camctl.drivers.ptp.codes import OK, Op
@@ -96,18 +95,6 @@ class TestWithPings(NetworkConformance):
     """The camera ends the session if its pings are not answered."""
 
     config: ClassVar[dict[str, Any]] = {"ping_s": 3.0}
-
-
-def test_frames_are_those_of_the_same_camera_on_usb() -> None:
-    with camera_on(files="dng", sensor="ideal-12") as (usb, _):
-        expected = shoot(usb, settings_at(usb, 1 / 500, 1 / 30))
-    with camera_on_network(files="dng", sensor="ideal-12") as (network, device):
-        frames = shoot(network, settings_at(network, 1 / 500, 1 / 30))
-        assert network.info.id == "ptpip:10.0.0.1"
-        assert (network.info.driver, network.info.serial) == ("ptpip", device.config.serial)
-    for frame, other in zip(frames, expected, strict=True):
-        assert np.array_equal(frame.pixels, other.pixels)
-        assert frame.applied == other.applied
 
 
 # ---- the transport

@@ -34,7 +34,6 @@ from camctl.errors import (
     CameraTimeoutError,
     RefusedSettingError,
 )
-from camctl.interface.camera import PreviewingCamera, StreamingCamera
 from camctl.interface.controls import Choices, ExposureSetting, Layout, Steps
 from camctl.messages.plain import sentence
 
@@ -51,13 +50,6 @@ MANUAL = {
 
 
 class TestOpening:
-    def test_camera_previews_and_streams(self) -> None:
-        with open_model(Model()) as camera:
-            assert isinstance(camera, PreviewingCamera)
-            assert isinstance(camera, StreamingCamera)
-            assert camera.mode == "yuyv-8x6-10"
-            assert camera.info.model == "A webcam"
-
     def test_constructor_does_not_open(self) -> None:
         model = Model()
         camera = V4l2Camera(PATH, kernel=model, clock=model.clock)
@@ -67,14 +59,6 @@ class TestOpening:
         with camera:
             assert model.descriptors == 1
         assert (model.descriptors, model.released) == (0, 1)
-
-    def test_closed_camera_opens_again(self) -> None:
-        model = Model()
-        camera = open_model(model)
-        camera.close()
-        with camera.open():
-            assert ticks_of(one_frame(camera, 40).pixels) == 40
-        assert (model.descriptors, model.released) == (0, 2)
 
     def test_automatic_functions_are_off(self) -> None:
         model = Model()
@@ -230,14 +214,6 @@ class TestOpening:
         control.minimum, control.step = minimum, step
         with open_model(model) as camera:
             assert camera.controls.time_s.minimum == pytest.approx(first / 10_000)
-
-    @pytest.mark.parametrize(("fps", "mode"), [(None, "30"), (10.0, "10")])
-    def test_longest_exposure_fits_into_the_interval(self, fps: float | None, mode: str) -> None:
-        interval_s = 1 / (fps or 30)
-        model = Model(interval_s=interval_s)
-        with open_model(model, fps=fps) as camera:
-            assert camera.mode.endswith(f"-{mode}")
-            assert camera.controls.time_s.maximum == pytest.approx(interval_s, abs=1e-4)
 
     def test_clamped_exposure_is_refused(self) -> None:
         model = Model()

@@ -33,14 +33,6 @@ class TestGain:
             assert isinstance(gains, Choices)
             assert gains.values[200] == pytest.approx(10.0)
 
-    def test_gain_between_two_steps_is_refused(self) -> None:
-        with (
-            open_model(Model(), gain="linear:0.0625") as camera,
-            pytest.raises(RefusedSettingError) as caught,
-        ):
-            camera.shoot([ExposureSetting(0.01, 1.03)])
-        assert caught.value.nearest in (1.0, 1.0625)
-
     def test_clamped_gain_is_refused(self) -> None:
         model = Model()
         with open_model(model, gain="linear:0.0625") as camera:

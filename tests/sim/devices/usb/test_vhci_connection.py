@@ -128,13 +128,6 @@ def kernel(device: Device) -> Iterator[Kernel]:
     assert not device.is_attached
 
 
-def test_bulk_transfers_in_both_directions(kernel: Kernel) -> None:
-    read = kernel.submit(IN, 1, 64)
-    write = kernel.submit(OUT, 2, 3, data=b"abc")
-    assert kernel.reply() == Reply(SUBMITTED, read, 0, b"abc")
-    assert kernel.reply() == Reply(SUBMITTED, write, 0)
-
-
 @pytest.mark.parametrize(
     ("request_number", "status", "data"), [(GREETING, 0, b"hello"), (STALLED, errno.EPIPE, b"")]
 )

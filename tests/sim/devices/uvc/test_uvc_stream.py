@@ -5,7 +5,6 @@ In virtual time: the host's reads let the time pass.
 
 from __future__ import annotations
 
-import errno
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -277,15 +276,6 @@ def test_each_start_begins_at_slot_0_without_old_frames() -> None:
         assert not camera.do("state")["is_streaming"]
         sleep(camera, 1.0)
         assert camera.pending(1) == 0
-
-
-def test_unplugging_ends_the_stream() -> None:
-    camera, host = streaming()
-    camera.do("unplug")
-    with pytest.raises(usb.core.USBError) as caught:
-        host.payload()
-    assert caught.value.errno == errno.ENODEV
-    assert not camera.do("state")["is_streaming"]
 
 
 def test_the_control_delay_can_be_changed_for_the_next_stream() -> None:
