@@ -147,7 +147,6 @@ def response(
         exposures=estimate.exposures,
         exponent_error=estimate.exponent_error,
         residual=estimate.residual,
-        replaces_exposures=series.measured_exposures == "ignored",
         findings=(*estimate.findings, *([inexact] if inexact else [])),
         camera=camera,
         mode=mode,
@@ -160,7 +159,7 @@ def _naming_measured_exposures(series: Series) -> Iterator[None]:
     try:
         yield
     except DataError as error:
-        if series.measured_exposures != "used":
+        if not series.has_measured_exposures:
             raise
         raise DataError(
             error.what,

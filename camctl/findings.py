@@ -91,7 +91,6 @@ CODES: Final[dict[str, str]] = {
     "left_out": "share of the picture that is left out of an estimate, where it is known",
     "levels_found": "black or white level in the pixels, DN",
     "chart_contradicts": "relative error of the reflectance of a patch of a chart",
-    "profile_not_used": "nothing: exposures in the profile were measured without a response",
     "response_doubtful": "nothing: checks of the frames refuse it, and it is kept on request",
     "response_inexact": "half of the widest 95 % interval of the irradiance, relative",
     "noise_misfit": "mean square deviation of the noise from its fit, over its expectation",

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, computed_field
+from pydantic import BaseModel, ConfigDict, computed_field
 
 from camctl.calibration import emva
 from camctl.calibration.plots import draw_exposures, draw_response, draw_transfer, panel
@@ -102,26 +102,17 @@ class ResponseResult(ResponseRecord, Result):
         exponent_error: relative standard deviation of an exponent of the whole curve; None where it
             is unknown
         residual: root mean square error of matched irradiances, relative
-        replaces_exposures: exposures in the profile were measured without a response, and go
     """
 
     channels: tuple[ChannelResult, ...]
     exposures: tuple[float, ...]
     exponent_error: float | None
     residual: float
-    replaces_exposures: bool = Field(default=False, exclude=True)
 
     @property
     def is_exact(self) -> bool:
         """Whether nothing says that the curve is too uncertain for a profile."""
         return all(each.code != "response_inexact" for each in self.findings)
-
-    @property
-    def record(self) -> ResponseRecord:
-        """The record for the profile."""
-        channels = tuple(_part(ChannelResponse, each) for each in self.channels)
-        fields = {name: getattr(self, name) for name in ResponseRecord.model_fields}
-        return ResponseRecord.model_validate({**fields, "channels": channels})
 
     def plot(self, path: str | Path) -> None:
         """Draw the curves to an SVG or PNG file; raises as `camctl.system.plots.plot` does."""
@@ -129,9 +120,11 @@ class ResponseResult(ResponseRecord, Result):
             draw_response(axes, self.mode or "these frames", self)
 
     def _keep(self, profile: Profile) -> None:
-        profile.responses[self.mode] = self.record
-        if self.replaces_exposures:
-            profile.exposures.pop(self.mode, None)
+        channels = tuple(_part(ChannelResponse, each) for each in self.channels)
+        fields = {name: getattr(self, name) for name in ResponseRecord.model_fields}
+        profile.responses[self.mode] = ResponseRecord.model_validate(
+            {**fields, "channels": channels}
+        )
 
 
 class NoiseResult(NoiseRecord, Result):
@@ -157,15 +150,6 @@ class NoiseResult(NoiseRecord, Result):
         """Least signal, dynamic range and largest signal to noise, as ratios of amplitudes."""
         return self.emva()
 
-    @property
-    def record(self) -> NoiseRecord:
-        """The record for the profile."""
-        return _part(NoiseRecord, self)
-
-    def emva_figures(self) -> tuple[emva.EmvaFigure, ...]:
-        """Return the figures of EMVA 1288, with their units."""
-        return emva.figures(self)
-
     def emva_report(self) -> str:
         """Return the figures of EMVA 1288 and the photon transfer curve, in Markdown."""
         camera = self.camera
@@ -182,16 +166,11 @@ class NoiseResult(NoiseRecord, Result):
             draw_transfer(axes, self.mode or "these frames", self)
 
     def _keep(self, profile: Profile) -> None:
-        profile.add_noise(self.mode, self.record)
+        profile.add_noise(self.mode, _part(NoiseRecord, self))
 
 
 class ExposureResult(ExposureRecord, Result):
     """The true exposures of a camera's settings."""
-
-    @property
-    def record(self) -> ExposureRecord:
-        """The record for the profile."""
-        return _part(ExposureRecord, self)
 
     def plot(self, path: str | Path) -> None:
         """Draw true over stated exposure with the 95 % intervals to an SVG or PNG file.
@@ -202,31 +181,21 @@ class ExposureResult(ExposureRecord, Result):
             draw_exposures(axes, self.mode or "these frames", self)
 
     def _keep(self, profile: Profile) -> None:
-        profile.add_exposures(self.mode, self.record)
+        profile.add_exposures(self.mode, _part(ExposureRecord, self))
 
 
 class ColourResult(ColourRecord, Result):
     """The colours of a camera."""
 
-    @property
-    def record(self) -> ColourRecord:
-        """The record for the profile."""
-        return _part(ColourRecord, self)
-
     def _keep(self, profile: Profile) -> None:
-        profile.colours[self.mode] = self.record
+        profile.colours[self.mode] = _part(ColourRecord, self)
 
 
 class DelayResult(DelayRecord, Result):
     """The control delay of a camera that streams."""
 
-    @property
-    def record(self) -> DelayRecord:
-        """The record for the profile."""
-        return _part(DelayRecord, self)
-
     def _keep(self, profile: Profile) -> None:
-        profile.delays[self.mode] = self.record
+        profile.delays[self.mode] = _part(DelayRecord, self)
 
 
 class StillTiming(Result):

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -22,7 +22,7 @@ import numpy as np
 from camctl.calibration.delay import measure_delay
 from camctl.calibration.exposures import measure_exposures
 from camctl.calibration.light import LONGEST_S
-from camctl.calibration.limits import DIM, FEW
+from camctl.calibration.limits import FEW
 from camctl.calibration.noise.dark import measure_dark
 from camctl.calibration.noise.pattern import (
     View,
@@ -190,12 +190,6 @@ def dark_text(dark: DarkRecord) -> str:
 _NOTABLE_CHANGE, _SETTLED, _MOST_ROUNDS = 0.005, 0.001, 5
 #: Factor of the disagreement of the frames from which measured exposures are worse than stated.
 _WORSE = 1.25
-#: Factors of the longest time of such frames, one after another where these do not reach bright
-#: levels: the fewer samples are saturated, the less spills over.
-_LONGER = (1.0, 1.5, 3.0, 8.0)
-#: Relative difference of the irradiances of two curves that are the same, as of two exposures in
-#: `camctl.calibration.response.labels`.
-_SAME_CURVE = 0.02
 
 OpenCamera: TypeAlias = Callable[[str], AbstractContextManager[Camera]]
 """Opens the camera with these parts of its profile, as the option "profile" names them."""
@@ -244,10 +238,6 @@ class _Calibration:
             if self._change > max(_NOTABLE_CHANGE, change):
                 yield from self._step("exposures", "none", self._withdraw_exposures)
                 break
-        short = list(self._step("response without highlights", EXPOSURES, self._check_highlights))
-        yield from short
-        if any(step.result for step in short):
-            yield from self._step("exposures again", RESPONSE, self._measure_exposures)
         yield from self._step("noise", f"{EXPOSURES},{RESPONSE}", noise_step)
         pattern, parts = PatternSteps(), f"{EXPOSURES},{RESPONSE}"
         yield from self._step("first view of the pixels", parts, pattern.first_view)
@@ -303,26 +293,6 @@ class _Calibration:
             "as stated, with the response of the first round: measured ones do not settle, since "
             "the camera has too few levels or too little noise, or light and charge spill over",
         )
-
-    def _check_highlights(
-        self, camera: Camera, options: StepOptions, progress: Progress
-    ) -> Found | None:
-        """Return the response of frames without saturation if it differs from the response of all.
-
-        Frames with much saturation show the dark levels best, but charge and light that spill over
-        from their highlights (blooming, glare) bend the curve.
-        """
-        known = load_profile(camera.info).responses.get(exposure_mode(camera.controls))
-        for factor in _LONGER:
-            longest_s = factor * self._unsaturated_s
-            with suppress(CamctlError):  # these frames alone do not show the response
-                series = measure_response(camera, longest_s=longest_s, progress=progress)
-                short = estimate_response(series)
-                if known is None or _difference(known, short.record) <= _SAME_CURVE:
-                    return None
-                options.warn(Finding(code="left_out", details={"what": "highlights"}))
-                return _response_found(camera, short)
-        return None
 
     def _measure_exposures(self, camera: Camera, options: StepOptions, progress: Progress) -> Found:
         camera.controls.check_response("exposure")
@@ -389,14 +359,3 @@ def _response_found(camera: Camera, estimate: ResponseEstimate) -> Found:
         f"agree within {estimate.residual:.2%}"
     )
     return Found(lambda profile: profile.responses.update({mode: record}), text)
-
-
-def _difference(one: ResponseRecord, other: ResponseRecord) -> float:
-    """Return by how much the irradiances of two measured responses differ at most, relative."""
-    worst = 0.0
-    for a, b in zip(one.channels, other.channels, strict=True):
-        low = max(DIM, a.measured[0], b.measured[0])
-        brightness = np.linspace(low, min(a.measured[1], b.measured[1]), 64)
-        curves = [np.interp(brightness, each.brightness, each.irradiance) for each in (a, b)]
-        worst = max(worst, float(np.max(np.abs(curves[0] / curves[1] - 1))))
-    return worst

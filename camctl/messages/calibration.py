@@ -61,10 +61,6 @@ def _left_out(finding: Finding) -> str:
             "saturated samples change those beside them (blooming, or JPEG compression): they and "
             "those near them are left out of the estimate"
         ),
-        "highlights": (
-            "light or charge spills over from the highlights of long exposures: the response is "
-            "from frames with few saturated samples"
-        ),
         "movement": (
             f"something moved in up to {share} of the picture from one frame to another: it is "
             "left out of the estimate of the response"
@@ -162,10 +158,6 @@ SENTENCES: Final[dict[str, Callable[[Finding], str]]] = {
     "left_out": _left_out,
     "levels_found": _levels_found,
     "chart_contradicts": _chart_contradicts,
-    "profile_not_used": lambda _: (
-        "the exposures in the camera's profile were measured while its response was not known: "
-        "they are not used, and no longer kept once the response is; measure them again"
-    ),
     "response_doubtful": lambda finding: (
         f"the response may be wrong, and is kept all the same: {finding.details['why']}"
     ),

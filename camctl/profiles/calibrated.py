@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from types import TracebackType
@@ -20,15 +20,11 @@ from camctl.errors import DataError, unknown_name
 from camctl.interface.backends import CAMERAS, CameraBackend, load
 from camctl.interface.camera import (
     Camera,
-    CameraInfo,
-    Frame,
-    FrameStream,
     PreviewingCamera,
     StreamingCamera,
 )
-from camctl.interface.clock import Clock
-from camctl.interface.controls import ExposureControls, ExposureSetting, ResponseOrigin
-from camctl.interface.cycle import CyclingCamera, FrameCycle
+from camctl.interface.controls import ExposureControls, ResponseOrigin
+from camctl.interface.cycle import CyclingCamera
 from camctl.profiles.exposures import exposure_mode
 from camctl.profiles.noise import DarkRecord
 from camctl.profiles.profile import Profile, ignored_profiles, load_profile
@@ -65,8 +61,9 @@ def with_profile(camera: Camera, parts: Collection[str] = PARTS) -> Camera:
     }
     if not any(measured[part] for part in parts):
         return camera
-    abilities = [part for protocol, part in _ABILITIES if isinstance(camera, protocol)]
-    kind = type("CalibratedCamera", (*abilities, CalibratedCamera), {})
+    able = (names for protocol, names in _ABILITIES.items() if isinstance(camera, protocol))
+    abilities = {name: _passed_on(name) for names in able for name in names}
+    kind = type("CalibratedCamera", (CalibratedCamera,), abilities)
     found: CalibratedCamera = kind(camera, profile, parts)
     return found
 
@@ -151,6 +148,19 @@ def _unfit(profile: Profile, measured: str, now: str) -> DataError:
     )
 
 
+def _passed_on(name: str) -> Any:
+    """Return an attribute that is the one of the camera itself."""
+    return property(lambda calibrated: getattr(calibrated._camera, name))
+
+
+#: What some cameras can do; a protocol looks for it in the class.
+_ABILITIES: dict[type[Any], tuple[str, ...]] = {
+    PreviewingCamera: ("preview",),
+    StreamingCamera: ("mode", "step"),
+    CyclingCamera: ("cycle",),
+}
+
+
 class CalibratedCamera:
     """A camera with what its profile says of it; see `camctl.Camera`.
 
@@ -162,6 +172,8 @@ class CalibratedCamera:
         profile: of this camera
         parts: of `PARTS`, those that are used
     """
+
+    info, clock, shoot = map(_passed_on, ("info", "clock", "shoot"))
 
     def __init__(self, camera: Any, profile: Profile, parts: Collection[str] = PARTS) -> None:
         self._camera = camera
@@ -202,23 +214,6 @@ class CalibratedCamera:
             ", ".join(modes),
         )
 
-    @property
-    def info(self) -> CameraInfo:
-        """The identity of the camera."""
-        found: CameraInfo = self._camera.info
-        return found
-
-    @property
-    def clock(self) -> Clock:
-        """The clock of the timestamps."""
-        found: Clock = self._camera.clock
-        return found
-
-    def shoot(self, settings: Sequence[ExposureSetting]) -> FrameStream:
-        """Shoot the settings in their order; see `Camera.shoot`."""
-        frames: FrameStream = self._camera.shoot(settings)
-        return frames
-
     @uninterrupted
     def close(self) -> None:
         """Disconnect from the camera; a second call does nothing."""
@@ -243,42 +238,6 @@ class CalibratedCamera:
     def __getattr__(self, name: str) -> Any:
         """Return an attribute of the driver."""
         return getattr(self._camera, name)
-
-
-class _CalibratedPreview(CalibratedCamera):
-    def preview(self, setting: ExposureSetting) -> Frame:
-        """Return one frame at `setting`; see `PreviewingCamera.preview`."""
-        frame: Frame = self._camera.preview(setting)
-        return frame
-
-
-class _CalibratedStream(CalibratedCamera):
-    @property
-    def mode(self) -> str:
-        """See `StreamingCamera.mode`."""
-        return str(self._camera.mode)
-
-    def step(
-        self, before: ExposureSetting, after: ExposureSetting, frames: int, *, early: int = 0
-    ) -> Sequence[Frame]:
-        """Return the frames after a change of exposure; see `StreamingCamera.step`."""
-        found: Sequence[Frame] = self._camera.step(before, after, frames, early=early)
-        return found
-
-
-class _CalibratedCycle(CalibratedCamera):
-    def cycle(self, settings: Sequence[ExposureSetting]) -> FrameCycle:
-        """Return frames without end; see `CyclingCamera.cycle`."""
-        found: FrameCycle = self._camera.cycle(settings)
-        return found
-
-
-#: What some cameras can do, and what passes it on.
-_ABILITIES: tuple[tuple[type[Any], type[CalibratedCamera]], ...] = (
-    (PreviewingCamera, _CalibratedPreview),
-    (StreamingCamera, _CalibratedStream),
-    (CyclingCamera, _CalibratedCycle),
-)
 
 
 def open_camera(

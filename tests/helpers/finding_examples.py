@@ -213,7 +213,6 @@ _CALIBRATIONS = (
     Finding(code="left_out", value=0.08, details={"what": "movement"}),
     Finding(code="levels_found", value=17, details={"level": "black", "stated": 0}),
     Finding(code="chart_contradicts", value=-0.12, details={"patch": 4, "channel": "G"}),
-    Finding(code="profile_not_used", remedies={"calibrate_exposure": None}),
     Finding(code="response_doubtful", details={"why": "the camera or the scene moved"}),
     Finding(
         code="response_inexact",

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,8 +75,7 @@ class Series:
         exposures_are_stated: the exposures are known, at least roughly; else `guess_exposures`
             replaces them
         is_shot: camctl has shot the frames itself: no file or label of the user's can be wrong
-        measured_exposures: whether the exposures are from the camera's profile; "ignored": it
-            has some, but they were measured without a known response
+        has_measured_exposures: whether the exposures are from the camera's profile
         names: of the frames in messages
         exposures: of the frames, in any common unit
         patches: of each frame: (patches, samples), channel by channel as `Layout.planes`
@@ -91,7 +90,7 @@ class Series:
     levels_are_stated: bool = False
     exposures_are_stated: bool = True
     is_shot: bool = False
-    measured_exposures: Literal["none", "used", "ignored"] = "none"
+    has_measured_exposures: bool = False
     names: list[str] = field(default_factory=list)
     exposures: list[float] = field(default_factory=list)
     patches: list[Patches] = field(default_factory=list)

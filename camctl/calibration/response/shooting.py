@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,11 +18,8 @@ from camctl.calibration.light import (
 )
 from camctl.calibration.limits import FEW
 from camctl.calibration.response.series import Series
-from camctl.findings import Finding
 from camctl.interface.camera import Camera
 from camctl.interface.controls import ExposureSetting
-from camctl.profiles.exposures import exposure_mode
-from camctl.profiles.profile import load_profile
 
 FRAMES = 8
 
@@ -38,8 +34,7 @@ def measure_response(
 ) -> Series:
     """Shoot an exposure series that suits the light before the camera; return it.
 
-    The exposures are the true ones where the camera's controls know them, else as stated; also
-    where they were measured while the response was not known.
+    The exposures are the true ones where the camera's controls know them, else as stated.
 
     Args:
         camera: an open camera
@@ -63,14 +58,8 @@ def measure_response(
         phase=controls.quantiser_phase,
         levels_are_stated=True,
         is_shot=True,
-        measured_exposures="none" if controls.true_exposures is None else "used",
+        has_measured_exposures=controls.true_exposures is not None,
     )
-    if series.measured_exposures == "used" and _had_assumed_response(camera):
-        series.measured_exposures = "ignored"
-        series.findings.append(
-            Finding(code="profile_not_used", remedies={"calibrate_exposure": None})
-        )
-        controls = replace(controls, true_exposures=None)
     for frame in camera.shoot(settings):
         exposure = controls.exposure(frame.applied)
         series.add(frame.pixels, exposure, f"the frame of {frame.applied.time_s:.4g} s")
@@ -79,13 +68,6 @@ def measure_response(
         if progress is not None:
             progress(len(series.names) / len(settings))
     return series
-
-
-def _had_assumed_response(camera: Camera) -> bool:
-    """Return whether the camera's response was neither stated nor measured so far."""
-    if not camera.controls.has_assumed_response:
-        return False
-    return exposure_mode(camera.controls) not in load_profile(camera.info).responses
 
 
 def _bracket(camera: Camera, count: int, longest_s: float) -> list[float]:
