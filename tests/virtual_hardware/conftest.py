@@ -2,6 +2,6 @@
 
 import os
 
-collect_ignore = ["guest_modules.py", "machine.py", "panels_in_guest.py", "run.py"]
+collect_ignore = ["guest_modules.py", "machine.py", "run.py"]
 if not os.environ.get("CAMCTL_IN_GUEST"):
     collect_ignore += ["guest"]

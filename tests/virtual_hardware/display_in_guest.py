@@ -1,4 +1,7 @@
-"""The menu on the guest's frame buffer, worked with the guest's keyboard; runs inside the guest.
+"""The panels for boards on the kernel's own devices; runs inside the guest.
+
+The menu on the guest's frame buffer, worked with the guest's keyboard; then the DRM panel on the
+same display (driver bochs).  The panel hd44780 writes to i2c-stub, which keeps what it was sent.
 
 Lines for the host, which `display` obeys: "press KEY", and "picture NAME" for a picture of what the
 display shows.  What it should show is in /guest_out/NAME.npy.
@@ -13,12 +16,18 @@ import time
 from pathlib import Path
 
 import numpy as np
-from panel_fakes import FakeJob
+import smbus2
+from panel_fakes import CAMERA, READING, FakeJob
 
 from camctl.menu.app import run
 from camctl.menu.drawing import draw
+from camctl.menu.layout import grid
+from camctl.menu.model import Model, State
+from camctl.menu.panels.drm import DrmPanel
 from camctl.menu.panels.framebuffer import FramebufferPanel
-from camctl.menu.ports import Screen
+from camctl.menu.panels.hd44780 import Hd44780Panel, encoded
+from camctl.menu.ports import PanelDisconnectedError, Screen
+from camctl.menu.screens import screen
 
 OUT = Path("/guest_out")
 MODULES = ("bochs", "evdev")
@@ -37,6 +46,11 @@ STEPS = (
 """Keys, as QEMU names them, each with the title of the screen that it leads to."""
 PICTURES = {"Ready": 0, "Desired response": 2, "Done": 7}
 """Titles of the screens that are compared, each after this step."""
+NO_KEYS = "keys=/nowhere/event*"
+SHOWN = screen(Model(state=State.IDLE, reading=READING, camera=CAMERA))
+AT, OTHER = 0x27, 0x3F
+TEXT, ENABLE = 0x09, 0x04
+"""Outputs: register select and light; enable."""
 SETTLED_S = 1.0
 """After this time the kernel has copied the memory of the frame buffer to the display."""
 
@@ -76,8 +90,8 @@ def take_picture(name: str, screen: Screen, size: tuple[int, int]) -> None:
         time.sleep(0.2)
 
 
-def main() -> int:
-    """Take a capture with the keyboard; return the exit status."""
+def work_the_menu() -> bool:
+    """Take a capture with the keyboard; return whether it was taken."""
     for module in MODULES:
         subprocess.run(["modprobe", module], check=True)
     while not Path("/dev/fb0").exists() or not list(Path("/dev/input").glob("event*")):
@@ -104,12 +118,57 @@ def main() -> int:
     ask("press ret")
     menu.join()
     print(f"captures {len(job.shot)} on {panel_size()}", flush=True)
-    return 0 if len(job.shot) == 1 else 1
+    return len(job.shot) == 1
 
 
 def panel_size() -> str:
     """Return the size of the frame buffer, as the kernel states it."""
     return Path("/sys/class/graphics/fb0/virtual_size").read_text().strip()
+
+
+def show_on_drm() -> None:
+    """Show a screen on the display, twice."""
+    for name in ("drm-first", "drm-second"):  # the first one must release the display
+        with DrmPanel(f"/dev/dri/card0,{NO_KEYS}") as panel:
+            panel.show(SHOWN)
+            take_picture(name, SHOWN, panel.size)
+    driver = Path("/sys/class/drm/card0/device/driver").resolve().name
+    print(f"drm: driver {driver}", flush=True)
+
+
+def write_to_i2c() -> None:
+    """Show a screen on i2c-stub; an address without a chip is one line."""
+    subprocess.run(["modprobe", "i2c-dev"], check=True)
+    subprocess.run(["modprobe", "i2c-stub", f"chip_addr={AT:#x}"], check=True)
+    (name,) = [
+        each
+        for each in Path("/sys/class/i2c-dev").iterdir()
+        if "stub" in (each / "name").read_text()
+    ]
+    bus = f"/dev/{name.name}"
+    with Hd44780Panel(f"{bus},at={AT:#x},{NO_KEYS}") as panel:
+        panel.show(SHOWN)
+        panel._check()
+        # The stub takes the first byte of a block for a register, and the others for what follows.
+        # Text is sent in blocks of 33 bytes, each character in four; the first byte is its first.
+        first = encoded(grid(SHOWN, 16, 2).lines[-1])[0]
+        upper, lower = first & 0xF0, first << 4 & 0xF0
+        with smbus2.SMBus(bus) as stub:
+            kept = stub.read_i2c_block_data(AT, upper | TEXT | ENABLE, 3)
+        assert kept == [upper | TEXT, lower | TEXT | ENABLE, lower | TEXT], (kept, first)
+    try:
+        with Hd44780Panel(f"{bus},at={OTHER:#x},{NO_KEYS}"):
+            raise AssertionError("no chip is there")
+    except PanelDisconnectedError as error:
+        print(f"i2c: {error}", flush=True)
+
+
+def main() -> int:
+    """Return the exit status."""
+    write_to_i2c()
+    is_taken = work_the_menu()
+    show_on_drm()
+    return int(not is_taken)
 
 
 if __name__ == "__main__":

@@ -2,14 +2,14 @@
 
     .venv/bin/python tests/virtual_hardware/run.py [-k EXPRESSION] [--backend NAME] [--proofs]
     .venv/bin/python tests/virtual_hardware/run.py --bench
-    .venv/bin/python tests/virtual_hardware/run.py --guest display|panels [--keep FOLDER]
+    .venv/bin/python tests/virtual_hardware/run.py --display [--keep FOLDER]
 
 All tests run in one guest: a guest computes for most of a minute before its first test, importing
 what the tests need.  A line for each test shows the elapsed time, the outcome and how long the test
 took by the guest's own clock.  The last line is "virtual hardware: N passed, M failed, S s".  With
---guest display the menu runs on the display of a guest, with --guest panels the panels for boards
-are shown there; neither is part of a run without it.  Where no guest can run it is "virtual
-hardware skipped: REASON; what to install", with status 0, or with 77 after --must-run.
+--display the panels for boards are shown on the display of a guest, which no other run does.  Where
+no guest can run it is "virtual hardware skipped: REASON; what to install", with status 0, or with
+77 after --must-run.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ REPOSITORY = HERE.parents[1]
 PACKAGES = ("camctl", "drivers", "menu", "sim")
 HELPERS = REPOSITORY / "tests" / "helpers"
 BENCH = REPOSITORY / "tests" / "bench" / "bench_in_guest.py"
-DISPLAYS = {"display": "display_in_guest.py", "panels": "panels_in_guest.py"}
+DISPLAY = HERE / "display_in_guest.py"
 BACKENDS = ("v4l2", "ptp", "coolpix", "gphoto2")
 # Limits that only catch what hangs: of a guest in the host's time, of a test in the guest's.
 LIMIT_S = 2200.0
@@ -83,8 +83,8 @@ def main() -> int:
     if arguments.command or arguments.bench:
         guest, bench = Guest("guest", kernel, arguments.limit, began), [sys.executable, str(BENCH)]
         return guest.run(arguments.command or bench, lambda text: print(text, flush=True))
-    if arguments.guest:
-        return _display(Guest(arguments.guest, kernel, arguments.limit, began), arguments.keep)
+    if arguments.display:
+        return _display(Guest("display", kernel, arguments.limit, began), arguments.keep)
     guest = Guest("tests", kernel, arguments.limit, began)
     guest.test(_tests(arguments))
     counts = guest.counts
@@ -193,7 +193,7 @@ def _display(guest: Guest, keep: Path | None) -> int:
         if not watched.obey(line):
             print(line, flush=True)
 
-    command = [sys.executable, str(HERE / DISPLAYS[guest.name])]
+    command = [sys.executable, str(DISPLAY)]
     status = guest.run(command, on_line, out, display.devices(out), keep)
     for line in watched.wrong:
         print(line)
@@ -206,7 +206,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description="Test all backends in virtual machines.")
     parser.add_argument("-k", metavar="EXPRESSION", help="only tests that pytest's -k selects")
     parser.add_argument("--backend", choices=BACKENDS, help="only this backend's tests")
-    parser.add_argument("--guest", choices=DISPLAYS, help="only this guest, with its own test")
+    parser.add_argument("--display", action="store_true", help="only panels, on a display")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the display's pictures")
     parser.add_argument("--proofs", action="store_true", help="with the tests marked proof")
     parser.add_argument("--bench", action="store_true", help="run the benchmark instead")

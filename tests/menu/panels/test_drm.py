@@ -1,4 +1,4 @@
-"""The DRM panel where there is no display; the virtual machine has one (--guest panels)."""
+"""The DRM panel where there is no display; the virtual machine has one (--display)."""
 
 from __future__ import annotations
 
