@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 NOISE_KINDS = ("paper", "time", "aperture", "gain")
 
 CONFLICTS = {
-    "tolerance": {"p", "noise", "jitter", "settings", "time_limit"},
-    "settings": {"noise", "jitter", "time_limit"},
+    "tolerance": {"p", "noise", "jitter", "settings"},
+    "settings": {"noise", "jitter"},
     "gains": {"total_limit"},
     "certificate": {"p", "noise", "jitter", "total_limit", "settings", "tolerance"},
 }
@@ -30,7 +30,6 @@ CONFLICTS = {
 ONLY_FOR_XI = {
     "tolerance",
     "certificate",
-    "time_limit",
     "seed",
     "levels_wanted",
     "p",
@@ -69,12 +68,6 @@ class SearchLimits:
         "--certificate",
         "Also compute how much better any other exposures could be: for two exposures of up "
         "to 10 bits a proof that none are (takes seconds); for more, a lower bound.",
-    )
-    time_limit: float | None = declare(
-        "--time-limit SECONDS",
-        "Stop the search after this time; with --certificate, stop bounding after about this "
-        "time.  [default: no limit]",
-        Number("a time in seconds above 0", above=0),
     )
     seed: int = declare_as(options.seed)
 

@@ -11,7 +11,6 @@ objective.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -79,7 +78,6 @@ class BatchScore:
         self._is_table = isinstance(problem.desired, TabulatedDesired)
         dtype = np.float32 if small and not exact and not self._is_table else np.float64
         self._levels = problem.response.levels.astype(dtype)
-        self._log_levels = np.log(np.maximum(problem.response.levels, 1e-300)).astype(dtype)
         size = problem.n * M
         self._jitter_factors = problem.jitter_factors()
         # All of a table's knots divide the gaps, beside the levels.
@@ -116,10 +114,6 @@ class BatchScore:
     def _block(self, exposures: FloatArray) -> FloatArray:
         rows = len(exposures)
         edges = self._edges[:rows]
-        if self.problem.objective.kind == "levels":
-            rises = self._rises(exposures, edges)
-            cubes = np.einsum("ij,ij->i", rises * rises, rises)
-            return np.asarray(cubes, dtype=np.float64)
         edges[:, 0] = 0
         inverse = (1 / exposures).astype(edges.dtype)
         levels = edges[:, 1:-1].reshape(rows, self.problem.n, -1)
@@ -170,37 +164,6 @@ class BatchScore:
             height **= self._p
         height *= length
         return np.asarray(height.sum(axis=1))
-
-    def _rises(self, exposures: FloatArray, edges: Work) -> Work:
-        """Return the differences of u between neighbouring levels in range, and its ends.
-
-        Args:
-            exposures: (B, n)
-            edges: (B, N + 2) to work in
-        """
-        desired, rows = self._desired, len(exposures)
-        levels = edges[:, 1:-1].reshape(rows, self.problem.n, -1)
-        if isinstance(desired, LogDesired):
-            # u has the distances of ln(light): nothing but the levels' own logarithms is needed.
-            shifts = np.log(exposures).astype(edges.dtype)
-            np.subtract(self._log_levels, shifts[:, :, np.newaxis], out=levels)
-            low, high, scale = math.log(desired.e_min), 0.0, 1 / math.log(desired.dynamic_range)
-        else:
-            inverse = (1 / exposures).astype(edges.dtype)
-            np.multiply(self._levels, inverse[:, :, np.newaxis], out=levels)
-            low, high, scale = desired.e_min, 1.0, 1.0
-        np.maximum(edges, low, out=edges)
-        np.minimum(edges, high, out=edges)
-        edges[:, 0], edges[:, -1] = low, high
-        edges[:, 1:-1].sort(axis=1, kind="stable")
-        if isinstance(desired, LinearDesired):
-            scale = 1 / (1 - desired.e_min)
-        elif isinstance(desired, GammaDesired) and desired.gamma == 0.5:
-            np.sqrt(edges, out=edges)
-            scale = 1 / (1 - desired.e_min**0.5)
-        elif not isinstance(desired, LogDesired):
-            edges = desired.u(edges)
-        return np.asarray(np.diff(edges, axis=1) * edges.dtype.type(scale))
 
     def _straddling(self, high: FloatArray, width: FloatArray) -> FloatArray:
         """Return the integral over the gap that contains e_min: of full width, from e_min on."""

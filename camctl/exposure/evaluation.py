@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from camctl.exposure.noise import noisy_effective_levels
 from camctl.exposure.objective import ExposureProblem, Objective
@@ -67,8 +67,7 @@ def evaluate(
     """
     values = check_exposures(exposures)
     relative = tuple(sorted(value / min(values) for value in values))
-    objective = replace(objective or Objective(), kind="xi")
-    problem = ExposureProblem(response, desired, len(relative), objective)
+    problem = ExposureProblem(response, desired, len(relative), objective or Objective())
     camera = EffectiveCamera.of(response, relative)
     noise_free = effective_levels(camera, desired)
     with_noise = noise_free

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from camctl.errors import UsageError
 from camctl.exposure.candidates import BatchScore
 from camctl.exposure.objective import ExposureProblem, Objective, xi
-from camctl.exposure.solver import SearchOptions, Solution, solve
+from camctl.exposure.solver import Progress, SearchOptions, Solution, solve
 from camctl.model.effective import union_of_levels
 from camctl.model.response.camera import CameraResponse, FloatArray
 from camctl.model.response.desired import DesiredResponse, GammaDesired, LinearDesired, LogDesired
@@ -84,6 +84,7 @@ def certify(
     tolerance: float = 1e-4,
     max_evaluations: int = 400_000,
     seed: int = 0,
+    progress: Progress | None = None,
 ) -> Certificate:
     """Return the best n exposures found, and a proven lower bound for all sets of n exposures.
 
@@ -99,6 +100,7 @@ def certify(
         tolerance: relative gap at which the search ends
         max_evaluations: sets scored, at most
         seed: seed of the search for the best set
+        progress: called with the completed share of `max_evaluations`, 0 to 1
 
     Raises:
         UsageError: n is out of range, or the desired response is another one
@@ -121,7 +123,7 @@ def certify(
         return Certificate(found.exposures, found.xi, found.xi, found.evaluations, seconds)
     top = max(0.0, math.log(float(response.levels[-1]) / desired.e_min)) + MARGIN
     search = _Boxes(problem, top)
-    best, bound = search.run(found, tolerance, max_evaluations)
+    best, bound = search.run(found, tolerance, max_evaluations, progress)
     G = problem.levels_wanted
     at_e_min = desired.e_min * float(desired.slope(np.array([desired.e_min]))[0])
     outside = bound
@@ -188,7 +190,11 @@ class _Boxes:
         self.half = top / parts / 2
 
     def run(
-        self, found: Solution, tolerance: float, max_evaluations: int
+        self,
+        found: Solution,
+        tolerance: float,
+        max_evaluations: int,
+        progress: Progress | None,
     ) -> tuple[tuple[float, ...], float]:
         """Return the best set, `found` or better, and the lower bound over all boxes."""
         exposures, value = found.exposures, found.xi
@@ -197,6 +203,8 @@ class _Boxes:
         scores = self._scores(centre)
         proven = math.inf
         while len(centre):
+            if progress is not None:
+                progress(min(self.score.evaluations / max_evaluations, 0.99))
             least = int(scores.argmin())
             if scores[least] < value:
                 value = float(scores[least])

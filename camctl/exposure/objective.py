@@ -16,11 +16,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
-from camctl.errors import UsageError, unknown_name
+from camctl.errors import UsageError
 from camctl.exposure.noise import NoiseTerm
 from camctl.model.effective import (
     MOST_SEARCHED,
@@ -28,7 +27,6 @@ from camctl.model.effective import (
     blocks,
     check_count,
     check_exposures,
-    quantisation_levels,
     union_of_levels,
 )
 from camctl.model.response.camera import CameraResponse, FloatArray, every_nth_level
@@ -267,9 +265,6 @@ class Objective:
         noise: noise term that is added to xi, or None
         jitter: relative standard deviation of the exposures about their nominal values, 0 to 0.2;
             xi is then the mean over `JITTER_DRAWS` fixed Gaussian draws in opposite pairs
-        kind: "xi", or "levels" for the most effective levels without noise: the quantity is then
-            L^-2, and G and p are not used.  With the noise of a camera see
-            `camctl.exposure.accuracy`
 
     Raises:
         UsageError: a value is out of range
@@ -279,11 +274,8 @@ class Objective:
     p: float = 1.0
     noise: NoiseTerm | None = None
     jitter: float = 0.0
-    kind: Literal["xi", "levels"] = "xi"
 
     def __post_init__(self) -> None:
-        if self.kind not in ("xi", "levels"):
-            raise unknown_name("objective", self.kind, ("xi", "levels"))
         _check_norm(1.0 if self.levels_wanted is None else self.levels_wanted, self.p)
         if not (math.isfinite(self.jitter) and 0 <= self.jitter <= 0.2):
             raise UsageError(
@@ -335,7 +327,7 @@ class ExposureProblem:
     def seconds(self) -> float:
         """About how long one score takes, s: it bounds searches, and is the same everywhere."""
         p, levels = self.objective.p, self.sorted_levels
-        if p == 1 or self.desired.curvature == 0 or self.objective.kind == "levels":
+        if p == 1 or self.desired.curvature == 0:
             return SECONDS_A_LEVEL * levels
         wide = min(levels, WIDE_GAPS * len(self.jitter_factors()))
         each = SECONDS_A_WIDE_GAP * (1 if p == round(p) else 4)
@@ -360,14 +352,14 @@ class ExposureProblem:
         values = np.array(check_exposures(exposures))
         factors = self.jitter_factors()
         total = sum(
-            self._without_noise(union_of_levels(self.response.levels, values * factor))
+            xi(
+                union_of_levels(self.response.levels, values * factor),
+                self.desired,
+                self.levels_wanted,
+                p=self.objective.p,
+            )
             for factor in factors
         )
         noise = self.objective.noise
         cost = 0.0 if noise is None else float(noise.cost(values[np.newaxis])[0])
         return total / len(factors) + cost
-
-    def _without_noise(self, levels: FloatArray) -> float:
-        if self.objective.kind == "levels":
-            return quantisation_levels(levels, self.desired) ** -2
-        return xi(levels, self.desired, self.levels_wanted, p=self.objective.p)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from time import monotonic, process_time
+from time import process_time
 from typing import Self
 
 import numpy as np
@@ -102,10 +102,8 @@ class SearchOptions:
     """How long to search, and with which random numbers.
 
     Attributes:
-        seed: seed of the random numbers, >= 0; the same seed gives the same result, bit for bit,
-            unless `time_limit_s` ends the search
+        seed: seed of the random numbers, >= 0; the same seed gives the same result, bit for bit
         effort: factor on the number of sets evaluated, > 0
-        time_limit_s: wall time after which the best set so far is returned, s; None: no limit
         processor_s: processor time of the search, about, at most, s, > 0: by `BatchScore.seconds`
             and `ExposureProblem.seconds`, so that results are the same on each machine
 
@@ -115,7 +113,6 @@ class SearchOptions:
 
     seed: int = 0
     effort: float = 1.0
-    time_limit_s: float | None = None
     processor_s: float = MOST_SECONDS
 
     def __post_init__(self) -> None:
@@ -123,10 +120,9 @@ class SearchOptions:
             raise UsageError(f"invalid seed {self.seed}: expected a whole number >= 0")
         for name, value in (
             ("search effort", self.effort),
-            ("time limit", self.time_limit_s),
             ("processor time", self.processor_s),
         ):
-            if value is not None and not (math.isfinite(value) and value > 0):
+            if not (math.isfinite(value) and value > 0):
                 raise UsageError(f"invalid {name} {value:g}: expected a positive number")
 
 
@@ -310,13 +306,11 @@ def _searches(
 ) -> list[_Search]:
     """Return the searches for a camera, and for cameras of fewer levels before it.
 
-    What each finds is where the next one starts.  A coarser one takes half of the time limit.
+    What each finds is where the next one starts.
     """
     found = [_Search(problem, options, total_limit)]
     while problem.response.M > MAX_DIRECT_LEVELS and problem.objective.noise is None:
         problem = problem.coarser
-        limit_s = None if options.time_limit_s is None else options.time_limit_s / 2
-        options = replace(options, time_limit_s=limit_s)
         found.insert(0, _Search(problem, options, total_limit))
     for between in found[1:-1]:
         between.budget *= SHARE_BETWEEN
@@ -337,7 +331,6 @@ class _Search:
         self.problem, self.limit = problem, limit
         self.progress: Progress | None = None
         self.score, self.exact_scores = BatchScore(problem), 0
-        self.deadline = monotonic() + (search.time_limit_s or math.inf)
         self.most_s = search.processor_s
         n, M, levels = problem.n, problem.response.M, problem.response.levels
         darkest = problem.desired.e_min or float(levels[levels > 0][0]) / MOST_SEARCHED
@@ -404,7 +397,7 @@ class _Search:
         end = self.score.evaluations
         for share in STAGE_SHARES:
             end += int(share * self.budget)
-            while self.score.evaluations < end and monotonic() < self.deadline:
+            while self.score.evaluations < end:
                 most = max(1, self.most_changes // len(sets))
                 sets, scores = self._improve(sets, scores, min(moves, most))
                 self._report()
@@ -462,8 +455,7 @@ class _Search:
             improved = False
             for index in range(1, len(current)):
                 for sign in (1, -1):
-                    is_over = self.score.evaluations - before >= self.most_final
-                    if is_over or monotonic() > self.deadline:
+                    if self.score.evaluations - before >= self.most_final:
                         return tuple(np.exp(current).tolist()), value
                     trial = current.copy()
                     trial[index] += sign * step

@@ -147,11 +147,7 @@ def effective_levels(camera: EffectiveCamera, desired: DesiredResponse) -> float
     through u.  N equal steps give exactly N: L is the rms quantisation error in u, as a number of
     steps.  Noise is not included; see `camctl.exposure.noise`.
     """
-    return quantisation_levels(camera.levels, desired)
-
-
-def quantisation_levels(levels: FloatArray, desired: DesiredResponse) -> float:
-    """Return `effective_levels` of a camera with these ascending levels, (N,)."""
+    levels = camera.levels
     first, last = np.searchsorted(levels, desired.e_min, "right"), np.searchsorted(levels, 1.0)
     edges = np.concatenate([[desired.e_min], levels[first:last], [1.0]])
     cubes = 0.0

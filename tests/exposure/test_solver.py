@@ -151,24 +151,6 @@ def test_search_for_a_curved_camera_leaves_a_minimum_that_most_starts_reach(seed
     assert found.xi == pytest.approx(327.8158, rel=5e-3)
 
 
-@pytest.mark.parametrize("bits", some([8, 12], every=2))
-def test_search_ends_when_the_time_limit_is_reached(
-    bits: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Each reading of the clock is 0.1 s later: the search reads it before each step."""
-    readings: list[float] = []
-
-    def monotonic() -> float:
-        readings.append(0.1 * len(readings))
-        return readings[-1]
-
-    monkeypatch.setattr(solver, "monotonic", monotonic)
-    found = solve(linear_response(bits), LOG, 5, search=SearchOptions(time_limit_s=1.0))
-    assert 1.0 < readings[-1] < 4.0  # a few readings after the limit: one for each set that is left
-    assert len(found.exposures) == 5
-    assert math.isfinite(found.xi)
-
-
 @pytest.mark.parametrize("limit", some([3.5, 60.0], every=2))
 def test_total_exposure_uses_its_limit_and_stays_within_it(limit: float) -> None:
     limited = solve(EIGHT_BIT, LOG, 3, total_limit=limit)
@@ -202,7 +184,6 @@ def test_invalid_numbers_of_exposures_are_refused(n: int) -> None:
         ({"seed": -1}, "invalid seed -1: expected a whole number >= 0"),
         ({"effort": 0.0}, "invalid search effort 0: expected a positive number"),
         ({"effort": math.inf}, "invalid search effort inf: expected a positive number"),
-        ({"time_limit_s": -2.0}, "invalid time limit -2: expected a positive number"),
         ({"processor_s": 0.0}, "invalid processor time 0: expected a positive number"),
     ],
 )

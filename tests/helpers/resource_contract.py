@@ -68,7 +68,6 @@ COSTLY = {
     "tradeoff solver --seeds": "the time grows with their number.",
     "tradeoff solver --evaluations": "End a run also after N sets of exposures",
     "tradeoff solver --limit": "CPU time of a run.",
-    "solve --time-limit": "stop bounding after about this time.",
     "simulate --times": "the time grows with their number.",
 }
 """Options (of `table show`: combinations of them) whose largest values take longer than the limit,

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -14,7 +10,6 @@ from typing import TYPE_CHECKING
 from camctl.cli import options
 from camctl.cli.commands import command
 from camctl.cli.output import (
-    ProgressBar,
     print_json,
     print_text,
     print_warning,
@@ -47,7 +42,6 @@ from camctl.cli.solve.output import SettingsResult, SolveResult
 from camctl.errors import UsageError
 
 if TYPE_CHECKING:
-    from camctl.exposure.candidates import BatchScore
     from camctl.exposure.grid_search import SettingsSolution
     from camctl.exposure.lower_bound import Certificate
     from camctl.model.response.camera import CameraResponse
@@ -60,20 +54,11 @@ SAME_EXPOSURE = 1e-8
 """Products of time and gain whose ratio differs less from 1 are one exposure."""
 
 DEFAULT_EVALUATIONS = 400_000
-"""Sets of exposures to evaluate without a time limit: a proof for two exposures, up to 10 bits."""
-
-_MOST_SETS = 1e12
-"""Sets of exposures that no time limit exceeds: months of work."""
+"""Sets of exposures to evaluate: a proof for two exposures, up to 10 bits."""
 
 PROOF_SECONDS, FINE_PROOF_SECONDS = 20.0, 8.0
 """Processor time for them, about, at most; less where the search before takes long, for more than
 10 bits."""
-
-_TIMED_SETS, _TIMED_SECONDS = 256, 1.0
-"""Sets that are evaluated to measure this machine's speed, and about the time for it, at most."""
-
-_REFRESH_S = 0.2
-"""Time between two updates of the progress bar, s."""
 
 
 @command(
@@ -160,7 +145,7 @@ def _solve(
             ),
             tolerance=tolerance,
             total_limit=total_limit if grid is None else math.inf,
-            search=SearchOptions(limits.seed, time_limit_s=limits.time_limit),
+            search=SearchOptions(limits.seed),
             progress=part_of(progress, 0.0, 1.0 if grid is None else 0.5),
         )
         if grid is None:
@@ -214,14 +199,7 @@ def _solve_with_certificate(
 
     real, desired = camera.response, request.desired()
     levels_wanted, count = request.get("levels_wanted"), count_of(request)
-    certificate = _certify(
-        real,
-        desired,
-        count,
-        levels_wanted=levels_wanted,
-        seed=limits.seed,
-        time_limit_s=limits.time_limit,
-    )
+    certificate = _certify(real, desired, count, levels_wanted=levels_wanted, seed=limits.seed)
     found = Solution.of(
         ExposureProblem(real, desired, count, Objective(levels_wanted)),
         certificate.exposures,
@@ -255,62 +233,25 @@ def _certify(
     *,
     levels_wanted: float | None,
     seed: int,
-    time_limit_s: float | None,
 ) -> Certificate:
     """Return the best n exposures found, with a lower bound on xi for all others.
 
-    Evaluates `DEFAULT_EVALUATIONS` sets, of cameras of many levels what takes `PROOF_SECONDS`; or
-    as many as this machine does in about `time_limit_s`.
+    Evaluates `DEFAULT_EVALUATIONS` sets, of cameras of many levels what takes `PROOF_SECONDS`.
     """
     from camctl.exposure.candidates import BatchScore
     from camctl.exposure.lower_bound import certify
     from camctl.exposure.objective import MAX_DIRECT_LEVELS, ExposureProblem
 
     score = BatchScore(ExposureProblem(real, desired, n), exact=True)
-    rate = 1 / score.seconds
     longest_s = PROOF_SECONDS if real.M <= MAX_DIRECT_LEVELS else FINE_PROOF_SECONDS
-    most = max(1, min(DEFAULT_EVALUATIONS, int(longest_s * rate)))
-    if time_limit_s is not None:
-        rate = _sets_per_second(score, desired, n)
-        most = max(1, int(min(time_limit_s * rate, _MOST_SETS)))
-    label = "proving" if n <= 2 else "bounding"
-    with progress_bar(label) as bar, _advance_with_time(bar, most / rate):
+    most = max(1, min(DEFAULT_EVALUATIONS, int(longest_s / score.seconds)))
+    with progress_bar("proving" if n <= 2 else "bounding") as bar:
         return certify(
-            real, desired, n, levels_wanted=levels_wanted, max_evaluations=most, seed=seed
+            real,
+            desired,
+            n,
+            levels_wanted=levels_wanted,
+            max_evaluations=most,
+            seed=seed,
+            progress=without_stage(bar),
         )
-
-
-def _sets_per_second(score: BatchScore, desired: DesiredResponse, n: int) -> float:
-    """Return how many sets of n exposures this machine evaluates per second."""
-    import numpy as np
-
-    count = max(1, min(_TIMED_SETS, int(_TIMED_SECONDS / score.seconds)))
-    spread = np.linspace(0.0, math.log(desired.dynamic_range), count)
-    sets = np.exp(spread[:, np.newaxis] * np.linspace(0.0, 1.0, n))
-    score(sets[:1])
-    started = time.perf_counter()
-    score(sets)
-    return count / (time.perf_counter() - started)
-
-
-@contextmanager
-def _advance_with_time(bar: ProgressBar | None, longest_s: float) -> Iterator[None]:
-    """Advance the bar with elapsed time, up to the longest that the work may take."""
-    if bar is None:
-        yield
-        return
-    show = bar
-    ended = threading.Event()
-    started = time.monotonic()
-
-    def advance() -> None:
-        while not ended.wait(_REFRESH_S):
-            show(min((time.monotonic() - started) / longest_s, 0.99), "")
-
-    thread = threading.Thread(target=advance, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()

@@ -188,7 +188,7 @@ def certificate_text(certificate: Certificate) -> str:
     elif certificate.lower_bound > 0:
         title = "certificate: a lower bound, no proof; better exposures may or may not exist"
     else:
-        title = "certificate: no bound above 0 yet; a longer --time-limit may find one"
+        title = "certificate: no bound above 0 was found"
     gap = certificate.xi - certificate.lower_bound
     rows = [
         ("  best known xi", format_number(certificate.xi, 8)),

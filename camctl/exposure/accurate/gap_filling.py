@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
 
-from camctl.exposure.candidates import CACHE_ELEMENTS, BatchScore
+from camctl.exposure.candidates import CACHE_ELEMENTS
 from camctl.exposure.exposure_choices import SAME, TimeCosts
-from camctl.exposure.objective import ExposureProblem, Objective
 from camctl.model.convolution import even_length
 from camctl.model.response.camera import CameraResponse, FloatArray
 from camctl.model.response.desired import DesiredResponse, LogDesired
@@ -123,7 +122,6 @@ class GapFilling:
     within: TimeLimit
     reach: float
     counts: tuple[int, int]
-    _scores: dict[int, BatchScore] = field(default_factory=dict, init=False)
 
     @cached_property
     def _log_levels(self) -> FloatArray:
@@ -139,14 +137,6 @@ class GapFilling:
         if self.desired.e_min:
             return math.log(self.desired.e_min)
         return float(self._log_levels[self.response.levels > 0][0]) - self.reach
-
-    def errors(self, sets: FloatArray) -> FloatArray:
-        """Return the sums of g^3 of sets (B, n), (B,)."""
-        n = sets.shape[1]
-        if n not in self._scores:
-            objective = Objective(kind="levels")
-            self._scores[n] = BatchScore(ExposureProblem(self.response, self.desired, n, objective))
-        return self._scores[n](np.exp(sets))
 
     def error(self, row: FloatArray) -> float:
         """Return the sum of g^3 of one set (n,)."""

@@ -144,9 +144,8 @@ def _start(search: DesignSearch, n: int, design: Design, limit: float) -> _Found
         spread = moves.interleave * np.arange(n) * np.array([[0.0], [0.5], [1.0]])
         starts = np.concatenate([starts, design.log_exposure + spread])
     sets = filling.within.scaled(moves.normalised(starts))
-    errors = filling.errors(sets)
-    best = int(errors.argmin())
-    return _Found(sets[best], float(errors[best]) / finer**2, finer, filling, rng)
+    best = min(sets, key=filling.error)
+    return _Found(best, filling.error(best) / finer**2, finer, filling, rng)
 
 
 def _start_from(search: DesignSearch, start: Shots, limit: float) -> _Found:
