@@ -193,4 +193,4 @@ def test_with_little_noise_sets_in_the_camera_s_steps_are_compared() -> None:
 def test_a_longer_time_has_no_fewer_levels_than_the_set_it_starts_from() -> None:
     sets = front_without_noise()._sets
     start = sets.within(8.0)
-    assert sets.within(8.4, polished=False, start=start.shots).levels >= start.levels
+    assert sets.within(8.4, thorough=False, start=start.shots).levels >= start.levels

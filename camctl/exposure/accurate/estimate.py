@@ -14,13 +14,6 @@ Near black a frame of little noise does not leave its lowest level, and contribu
 included (`_near_black`).  Where noise does not dither the quantiser elsewhere, sums are up to some
 10 % more or less accurate than this, and the exact distribution
 (`camctl.exposure.noise.predicted_mse`) has to judge.
-
-Below the light at which the first frame leaves its lowest level, the sum is the least that there
-is, and one value stands for all of these irradiances.  Where noise does not dither the quantiser,
-this zone ends abruptly, and the average over the phases of the quantiser does not show where.  The
-logarithm of the probability that a frame is at its lowest level adds up over the frames, as what
-they contribute does: the least sum counts by the variance of u that it leaves, exactly, and all
-others as they are estimated (`ZoneAccuracy`).
 """
 
 from __future__ import annotations
@@ -79,7 +72,7 @@ that a frame shows, their width is 0, and integrals in float64 have to differ.""
 
 
 class _Table:
-    """One gain: rows of s, v, c, more, and what a second of DCNU adds to c, at x.
+    """One gain: rows of s, v, c, and what a second of DCNU adds to c, at x.
 
     Args:
         rows: (R, X); without the last where nothing grows with time
@@ -161,18 +154,13 @@ class FrameAccuracy:
         unit = slope / (response.M + 1) * inside  # levels of a sample for one of the linear scale
         per_electron = gain / noise.conversion_e_per_dn
         rows = [slope * x * inside, variance, unit * frame.dsnu_levels]
-        rows += self._more_rows(y, np.hypot(noise_levels, unit * frame.dsnu_levels))
         if self.unit_s:
             rows.append(unit * noise.dcnu_e_s * per_electron)
         dark = noise.dark_current_e_s * per_electron / (response.M + 1)
         return _Table(np.array(rows), first, dark)
 
-    def _more_rows(self, signal: FloatArray, noise: FloatArray) -> list[FloatArray]:
-        """Return what else adds up over frames, from their signals and noise in levels."""
-        return []
-
     def parts(self, log_exposure: FloatArray, gain: float, time: FloatArray) -> NDArray[np.float32]:
-        """Return s, v, c and more of frames at one gain, (3 or more, F, NODES).
+        """Return s, v and c of frames at one gain, (3, F, NODES).
 
         Args:
             log_exposure: (F,) ln of the exposures relative to the shortest
@@ -211,7 +199,7 @@ class FrameAccuracy:
             one: (..., F, NODES) derivatives of the parts of each frame
             two: their second derivatives
         """
-        S, V, C = total[:3]
+        S, V, C = total
         V = V + C * C
         S = np.maximum(S, 1e-30)
         weight = self.weight / S**2 * self.share
@@ -282,77 +270,3 @@ def _clipped_variance(low: FloatArray, high: FloatArray) -> FloatArray:
     mean = low * at_low + high * at_high + density_low - density_high
     square = low**2 * at_low + high**2 * at_high + inside + low * density_low - high * density_high
     return np.maximum(square - mean**2, 0.0)
-
-
-ZONE_NODES = 24
-"""Steps of u over which the darkest zone is averaged.  Where those of the estimate are as short
-(log 1:1,000), the zone changes nothing: the sets that are found differ by less than 0.1 %."""
-
-_LEAST = 1e-30
-"""Probabilities, and noise in levels, that are less count as this much."""
-
-
-def frame_accuracy(problem: AccuracyProblem) -> FrameAccuracy:
-    """Return what frames of a camera contribute, with the darkest zone where it is to be seen."""
-    end = _zone_end(problem)
-    if not 0 < end < ZONE_NODES / NODES:
-        return FrameAccuracy(problem)
-    return ZoneAccuracy(
-        problem, np.append(np.linspace(0.0, end, ZONE_NODES + 1), EDGES[end < EDGES])
-    )
-
-
-def _zone_end(problem: AccuracyProblem) -> float:
-    """Return the u up to which the shortest exposure may be at its lowest level.
-
-    0: noise dithers the quantiser there, or there is none.
-    """
-    noise = problem.noise.frame(gain=min(problem.available.gains), time_s=0.0)
-    dark = deviation(problem.response, np.zeros(1), noise)
-    if problem.noise.is_none or dark[0] >= DITHERS:
-        return 0.0
-    E = problem.desired.inverse(EDGES)
-    above = quantiser_input(problem.response, E) - (1 - problem.black)
-    is_left = above >= NORMAL_REACH * deviation(problem.response, E, noise)
-    return float(EDGES[is_left.argmax()])
-
-
-class ZoneAccuracy(FrameAccuracy):
-    """What frames contribute to the accuracy of a sum, and to the zone of its least value.
-
-    The first `ZONE_NODES` of its steps are those of the zone.
-    """
-
-    def _more_rows(self, signal: FloatArray, noise: FloatArray) -> list[FloatArray]:
-        """Return the logarithm of the probability of the lowest level."""
-        first = 1 - self.problem.black
-        lowest = normal_cdf((first - signal) / np.maximum(noise, _LEAST))
-        return [np.log(np.maximum(lowest, _LEAST))]
-
-    def mse(self, parts: NDArray[np.floating[Any]], step: int = 1) -> FloatArray:
-        """Return the mean square error in u of summed parts, (...) from (4, ..., NODES)."""
-        share, u = self.share[::step] / self.share[::step].sum(), self.u[::step]
-        errors, count = self.errors(parts[:3], step), -(-ZONE_NODES // step)
-        lowest = np.exp(parts[3, ..., :count].astype(np.float64)) * share[:count]
-        moments = lowest @ (u[:count, np.newaxis] ** np.arange(3))
-        known, mean, square = np.moveaxis(moments, -1, 0)
-        left = np.maximum(square - mean**2 / np.maximum(known, _LEAST), 0.0)
-        seen = errors @ share.astype(errors.dtype) - np.sum(lowest * errors[..., :count], axis=-1)
-        return np.asarray(seen + left + self.fixed, dtype=np.float64)
-
-    def derivatives(
-        self, total: FloatArray, one: FloatArray, two: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return gradient and Hessian of `mse`.
-
-        The Hessian is without the products of a change of the zone and one of the other errors.
-        """
-        lowest = np.exp(total[3]) * self.share
-        known = max(float(lowest.sum()), _LEAST)
-        from_mean = self.u - float(lowest @ self.u) / known
-        gradient, hessian = super().derivatives(total, one, two)
-        rate = lowest * (from_mean**2 - self.errors(total[:3]))
-        moved = one[3] @ (lowest * from_mean)
-        gradient += one[3] @ rate
-        hessian += (one[3] * rate) @ one[3].T + np.diag(two[3] @ rate)
-        return gradient, hessian - 2 / known * np.outer(moved, moved)

@@ -22,10 +22,10 @@ frames half as many levels are as good (40 and 64 frames of 16 bits, the same ra
 
 
 JUDGED_FRAMES = 32
-"""Frames of sets that are judged at once, at most, for at least `MOST_SMOOTH` sets; half as many of
-their like at other gains.  What a rating costs grows with the frames of the set, and the estimate
-errs less for more of them.  With the fewest sets alone one of 36 cases has 0.53 % fewer levels;
-with 16 and 64 frames, 18 cases have as many (`tests/bench/bench_front_constants.py`)."""
+"""Frames of sets that are judged at once, at most, for at least `MOST_SMOOTH` sets.  What a rating
+costs grows with the frames of the set, and the estimate errs less for more of them.  With the
+fewest sets alone one of 36 cases has 0.53 % fewer levels; with 16 and 64 frames, 18 cases have as
+many."""
 
 MOST_LEVELS_OF_MANY = 8191
 """Levels of a camera up to which a set of more frames than that, of which few are judged, is judged
@@ -64,9 +64,7 @@ class Judge:
         halvings = math.ceil(math.log2((by_all.response.M + 1) / (MAX_JUDGED_LEVELS + 1))) + is_many
         halvings = max(halvings, 0)
         if halvings not in self._coarse:
-            self._coarse[halvings] = type(self._frames)(
-                _coarser(by_all, 2**halvings), self._frames.edges
-            )
+            self._coarse[halvings] = FrameAccuracy(_coarser(by_all, 2**halvings))
         coarse = self._coarse[halvings]
         levels = _exact(coarse.problem, shots)
         return levels * self.estimated(shots) / _estimate(coarse, shots) if halvings else levels

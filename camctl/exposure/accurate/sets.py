@@ -12,12 +12,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TypeAlias
 
 import numpy as np
 
 from camctl.exposure.accurate.design import DesignSearch
-from camctl.exposure.accurate.estimate import FEW_LEVELS, frame_accuracy
+from camctl.exposure.accurate.estimate import FEW_LEVELS, FrameAccuracy
 from camctl.exposure.accurate.frame_sets import Design
 from camctl.exposure.accurate.judge import JUDGED_FRAMES, Judge
 from camctl.exposure.accurate.least_quantisation import least_quantisation
@@ -25,7 +24,6 @@ from camctl.exposure.accurate.listed import ListedSets
 from camctl.exposure.accurate.tuning import CLOSE, CORRECTIONS, MIDDLE
 from camctl.exposure.exposure_choices import SAME, AccuracyProblem, Rated, Shots, bases
 from camctl.exposure.noise import DITHERS
-from camctl.exposure.random_sets import interleave_step
 from camctl.model.distribution import deviation
 from camctl.model.effective import MOST_SEARCHED
 
@@ -37,8 +35,8 @@ NEAR_BEST = 0.98
 estimates of similar sets differ by less."""
 
 MOST_JUDGED, MOST_SMOOTH = 6, 2
-"""Such sets that are judged, at most, and of their like at other gains; and where noise dithers the
-quantiser in the dark, too, so that the estimate errs alike for all of them."""
+"""Such sets that are judged, at most; and where noise dithers the quantiser in the dark, too, so
+that the estimate errs alike for all of them."""
 
 KNEE = 0.97
 """Share of the largest levels^2 / time from which more time counts as no better than averaging.
@@ -56,12 +54,8 @@ NEARLY = 0.98
 """Share of this from which a traced set is refined: that changes the levels by less than 1 %."""
 
 MOST_POLISHED = 25_000
-"""Levels of the sums of sets that are rated exactly beside one, at most: 0.25 s for 8 bits.  With
-more levels the noise hides how they interleave.  Where the pixels' offsets differ they count three
-times, as often as they are summed."""
-
-SPREADS = (0.5, 1.0, 1.5)
-"""Distances tried between equal exposures, in gaps between levels near full scale."""
+"""Levels of the sums of sets that are rated exactly beside one, at most: 0.25 s for 8 bits.  Where
+the pixels' offsets differ they count three times, as often as they are summed."""
 
 POLISHED_SHARES = (0.1, 0.05, 0.05, 0.03, 0.03, 0.02, 0.01)
 """Shares by which one exposure after the other is changed there."""
@@ -86,9 +80,6 @@ WEIGHT_LIMITS = 0.02, 10.0
 MOST_LONGER = 100.0
 """Largest ln of a factor of time that is tried at once: what is longer is beyond every limit."""
 
-Judged: TypeAlias = tuple[Rated, Design, DesignSearch]
-"""A set with its exact rating, and the search that it comes from."""
-
 
 class AccurateSets:
     """Finds sets of exposures for one problem; each is judged once.
@@ -111,7 +102,7 @@ class AccurateSets:
         self._most: int | None = MOST_SMOOTH if self._is_smooth else MOST_JUDGED
         if problem.response.M <= FEW_LEVELS:
             self._most = None  # the estimate says least of them, and exact ratings cost little
-        frames = frame_accuracy(problem)
+        frames = FrameAccuracy(problem)
         self.searches = [DesignSearch(frames, base, counts) for base in bases(problem)]
         self.judge = Judge(frames, dithered=self.dithered)
         self._listed = ListedSets(self.searches, counts, self.dithered, self.judge)
@@ -173,40 +164,38 @@ class AccurateSets:
         fewest, limit = self.counts[0], limit * (1 + SAME)
         return [search for search in self.searches if search.least_time(fewest) <= limit]
 
-    def within(self, limit: float, *, polished: bool = True, start: Shots = ()) -> Rated:
+    def within(self, limit: float, *, thorough: bool = True, start: Shots = ()) -> Rated:
         """Return the most accurate set that takes `limit` at most (>= the least time).
 
-        With `polished` sets of few exposures, whose levels interleave in ways that the estimate
-        does not see, are improved by exact ratings of their neighbours.  Where noise does not
-        dither the quantiser, the search starts from `start`, too, a set of a shorter time.
+        A thorough search judges several sets, and improves the best one, if it has few exposures,
+        by exact ratings of its neighbours.  Where noise does not dither the quantiser, the search
+        starts from `start`, too, a set of a shorter time.
         """
         listed = self._listed.most_accurate(limit) if self._listed.numbers else None
         found = [] if listed is None else [listed]
-        polishes = polished and not self.problem.noise.is_none
+        is_thorough = thorough and not self.problem.noise.is_none
         if self.enumerated:
             pairs = []
         elif self.problem.noise.is_none and not self.searches[0].is_list:
             pairs = [(self.searches[0].roughly_within(limit), self.searches[0])]
         else:
-            pairs = self._estimates(limit, thorough=polishes)
+            pairs = self._estimates(limit, thorough=is_thorough)
         near = [pair for pair in pairs if pair[0].levels >= NEAR_BEST * pairs[0][0].levels]
-        if not polishes:
+        if not is_thorough:
             near = near[:1]
         elif near and self._most is not None:
             near = near[: max(MOST_SMOOTH, min(self._most, JUDGED_FRAMES // near[0][0].n))]
-        judged = [(self.judge(search.shots(design)), design, search) for design, search in near]
-        judged.sort(key=lambda each: -each[0].levels)
-        if polishes:
-            judged = self._regained(judged, limit)
-            for _, design, search in judged[:1]:
-                found.append(self._polished(search, design, limit))
-        found += [rated for rated, _, _ in judged]
+        rated = [self.judge(search.shots(design)) for design, search in near]
+        if is_thorough and near:
+            best = max(range(len(near)), key=lambda place: rated[place].levels)
+            rated.append(self._polished(*near[best], limit))
+        found += rated
         if not self.dithered:
             if start:
                 found.append(self.judge(start))
             for search in dict.fromkeys(search for _, search in near if not search.is_list):
                 design = next(design for design, each in near if each is search)
-                least = least_quantisation(search, design, limit, thorough=polished, start=start)
+                least = least_quantisation(search, design, limit, thorough=thorough, start=start)
                 found += [self.judge(least)] if least else []
             in_steps = self.problem.available.in_steps
             found = [self.judge(in_steps(each.shots, limit)) for each in found]
@@ -227,7 +216,7 @@ class AccurateSets:
             for limit in limits:
                 below = [each for each in others if each.time <= limit] + rated[-1:]
                 start = max(below, key=lambda each: each.levels).shots if below else ()
-                rated.append(self.within(limit, polished=False, start=start))
+                rated.append(self.within(limit, thorough=False, start=start))
             return rated
         both = [self._best_estimated(limit) for limit in limits]
         few = [place for place, (design, _) in enumerate(both) if design.n <= FEW]
@@ -244,38 +233,16 @@ class AccurateSets:
             found.append(Rated(search.shots(design), levels, design.time))
         return found
 
-    def _regained(self, judged: list[Judged], limit: float) -> list[Judged]:
-        """Return judged sets and, of sets that are like them at other gains, the most promising.
+    def _polished(self, design: Design, search: DesignSearch, limit: float) -> Rated:
+        """Return a set, or a better one with one time after the other a little changed.
 
-        The estimate errs most where it is dark, and differently at each gain.
+        The estimate errs most for few exposures.
         """
-        trials = [
-            (trial.levels * rated.levels / design.levels, trial, search)
-            for rated, design, search in judged
-            for trial in search.regained(design)
-            if trial.time <= limit * (1 + SAME)
-        ]
-        trials.sort(key=lambda each: -each[0])
-        if trials and self._most is not None:
-            trials = trials[: min(self._most, JUDGED_FRAMES // 2 // trials[0][1].n)]
-        for expected, trial, search in trials:
-            if expected >= NEAR_BEST * judged[0][0].levels:
-                judged.append((self.judge(search.shots(trial)), trial, search))
-        return sorted(judged, key=lambda each: -each[0].levels)
-
-    def _polished(self, search: DesignSearch, design: Design, limit: float) -> Rated:
         best = self.judge(search.shots(design))
         work = design.n * self.problem.response.M * (3 if search.frames.has_shift else 1)
         remaining = MOST_POLISHED // work
-        if search.is_list or not remaining:
-            return best
-        gap = interleave_step(self.problem.response)
-        trials = [search.spread(design, limit, share * gap) for share in SPREADS]
-        for share in (0.0, *POLISHED_SHARES):
-            if not remaining:
-                break
-            trials = trials if not share else search.neighbours(design, limit, share)
-            for trial in trials[:remaining]:
+        for share in POLISHED_SHARES:
+            for trial in search.neighbours(design, limit, share)[:remaining]:
                 remaining -= 1
                 rated = self.judge(search.shots(trial))
                 if rated.levels > best.levels and rated.time <= limit * (1 + SAME):
@@ -344,7 +311,7 @@ class AccurateSets:
         shorter = search.reduced(most, levels / best.levels * most.levels).time / most.time
         low, time = self.least_time(self.counts[0]), min(most.time, best.time * shorter)
         for _ in range(CORRECTIONS):
-            found = self.within(max(low, time), polished=False)
+            found = self.within(max(low, time), thorough=False)
             if found.levels < levels:
                 break
             best, time = found, found.time * shorter
@@ -387,7 +354,7 @@ class AccurateSets:
         # Near a time the levels grow as its power w/2; `missed` is the longest time that failed.
         weight, missed, last = 1.0, low, None
         for _ in range(CORRECTIONS):
-            found = self.within(time, polished=False)
+            found = self.within(time, thorough=False)
             if found.levels >= levels and (best is None or found.time < best.time):
                 best = found
             elif found.levels < levels:

@@ -235,34 +235,6 @@ class TunedSets(FrameSets):
         """Return the set with other times, tuned for a time, at the same gains."""
         return self.refitted(self.fitted(design, limit), limit)
 
-    def spread(self, design: Design, limit: float, step: float) -> Design:
-        """Return a set with its nearly equal exposures `step` apart, so that levels interleave."""
-        at, first, count = design.log_exposure.copy(), 0.0, 0
-        for place in range(1, design.n):
-            count += 1
-            if at[place] > first + 2 * step * count:
-                first, count = float(at[place]), 0
-            at[place] = first + step * count
-        return self.fitted(self._moved(design, at[1:] - design.log_exposure[1:]), limit)
-
-    def evened(self, design: Design) -> Design:
-        """Return a set of the same gains whose ln(exposure) are at equal distances."""
-        even = np.linspace(0.0, design.log_exposure[-1], design.n)
-        return self.design(np.clip(even, *self.limits(design.gain)), design.gain)
-
-    def regained(self, design: Design) -> list[Design]:
-        """Return a set with the next gain up or down in all frames but the first, or in one."""
-        found = []
-        masks = [np.arange(design.n) > 0, *(np.arange(design.n) == k for k in range(1, design.n))]
-        for mask in masks if self.gains.size > 1 else []:
-            for step in (-1, 1):
-                gain = np.clip(design.gain + step * mask, 0, self.gains.size - 1)
-                moved = design.log_exposure + np.log(self.gains[gain] / self.gains[design.gain])
-                low, high = 0.0, math.log(self.problem.reach)
-                if np.any(gain != design.gain) and np.all((moved >= low) & (moved <= high)):
-                    found.append(self.design(moved, gain))
-        return found
-
     def neighbours(self, design: Design, limit: float, share: float) -> list[Design]:
         """Return a set with each time but the first `share` longer or shorter.
 

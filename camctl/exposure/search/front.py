@@ -44,7 +44,7 @@ from camctl.model.effective import EffectiveCamera
 from camctl.model.noise import FrameNoise
 from camctl.model.response.desired import DesiredResponse
 
-VERSION = 18
+VERSION = 19
 """Part of the key of a kept point; it changes where the search finds other settings."""
 
 POINTS = 12
@@ -232,7 +232,7 @@ class Front:
             limit = time_s / self._unit_s - self._problem.available.costs.fixed
             if sets.least_time(min(COUNTS)) > limit:
                 return ()
-            return (self._point(sets.within(limit, polished=False)),)
+            return (self._point(sets.within(limit, thorough=False)),)
 
         found = self._kept(f"levels within {time_s!r}", find, least=0)
         return found[0].levels if found else None
