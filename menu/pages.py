@@ -13,11 +13,10 @@ from camctl.menu.ports import Line, Screen
 from camctl.menu.text import (
     format_bytes,
     format_levels,
-    format_percent,
     format_ratio,
     format_short_time,
 )
-from camctl.system.number_text import range_text
+from camctl.system.number_text import percent_text, range_text
 
 BLANK = Screen(Line(("",)))
 
@@ -33,7 +32,7 @@ def idle(model: Model) -> Screen:
     elif reading.is_late:
         lines.append(Line(("The camera meters when it shoots", "No live meter")))
     else:
-        time, clipped = format_short_time(reading.time_s), format_percent(reading.clipped)
+        time, clipped = format_short_time(reading.time_s), percent_text(reading.clipped)
         if reading.rate is None:
             words: tuple[str, ...] = (
                 f"Shortest exposure {time}, {clipped} clipped",
@@ -184,7 +183,7 @@ def _beside_plan(levels: str, planned_levels: float | None) -> tuple[str, ...]:
 
 def _summary(summary: Summary) -> Screen:
     levels = format_levels(summary.effective_levels)
-    clipped = format_percent(summary.saturated)
+    clipped = percent_text(summary.saturated)
     distrust = summary.untrustworthy_because
     head = [Line(("! Not trustworthy",))] if distrust else []
     return replace(

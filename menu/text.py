@@ -71,17 +71,6 @@ def format_levels(levels: float) -> str:
     return f"{levels / 1e3:.0f}k" if levels < 9.9995e6 else f"{levels / 1e6:.1f}M"
 
 
-def format_percent(fraction: float) -> str:
-    """Return a fraction as a percentage; a small positive one is never shown as zero.
-
-    >>> format_percent(0.0), format_percent(0.00001), format_percent(0.0312)
-    ('0 %', '<0.01 %', '3.12 %')
-    """
-    if 0 < fraction < 1e-4:
-        return "<0.01 %"
-    return f"{_digits(100 * fraction, 3)} %"
-
-
 def format_bytes(size: int) -> str:
     """Return a size with three digits.
 

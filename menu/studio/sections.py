@@ -6,7 +6,7 @@ To add one: a line in `SECTIONS`, its routes in a module beside this one, and ``
 from __future__ import annotations
 
 from camctl.menu.model import State
-from camctl.menu.studio import captures, choices, live, merging, profiles
+from camctl.menu.studio import captures, merging, pictures, profiles
 from camctl.menu.studio.section import Section
 
 SECTIONS = (
@@ -14,21 +14,21 @@ SECTIONS = (
         "live",
         "Camera",
         (State.IDLE, State.STARTING, State.OPENING, State.CAMERA_FAILED, State.SAVER),
-        get={"picture": live.picture},
+        get={"picture": pictures.seen_picture},
     ),
     Section(
         "look",
         "Look",
         (State.RESPONSE, State.RANGE, State.CUSTOM),
         returns=True,
-        get={"picture": choices.cost_picture},
+        get={"picture": pictures.cost_picture},
     ),
     Section(
         "time",
         "Time",
         (State.FRONT, State.EXPOSURES, State.BUDGET),
         returns=True,
-        get={"picture": choices.point_picture},
+        get={"picture": pictures.point_picture},
     ),
     Section(
         "shoot",

@@ -217,15 +217,3 @@ def test_step_raises_the_errors_of_shoot() -> None:
 def test_mode_states_format_size_and_rate() -> None:
     with open_steady() as camera:
         assert camera.mode == "mono12-3x2-32"
-
-
-@pytest.mark.serial
-def test_sequence_in_real_time() -> None:
-    clock = LatenessClock()
-    with open_steady(1, clock=clock) as camera:
-        start_s = clock.now()
-        for frame in camera.shoot(lines(10, 20, 10)):
-            check_exposure(camera, frame)
-            assert frame.timestamp_s <= clock.now()
-        assert clock.now() - start_s >= 4 * INTERVAL_S
-        assert camera.device.lost <= int(clock.late_s / INTERVAL_S)

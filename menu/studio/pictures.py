@@ -1,9 +1,11 @@
-"""The section *Camera*: what the camera sees, large, with its histogram and a focus value."""
+"""Pictures of the sections *Camera*, *Look* and *Time*: what is seen, and what can be chosen."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 
+from camctl.menu.data import Cost
 from camctl.menu.studio.section import NOT_FOUND, Answer, RefusedError, Request
 from camctl.menu.studio.sight import Look, rendered
 from camctl.menu.studio.studio import Studio
@@ -12,8 +14,8 @@ _LARGEST_SIDE = 4096
 """Pixels of the longest side of a picture for a browser: the largest displays have no more."""
 
 
-def picture(studio: Studio, request: Request) -> Answer:
-    """Return the next picture; its numbers are in the head ``X-Camctl-Facts``."""
+def seen_picture(studio: Studio, request: Request) -> Answer:
+    """Return what the camera sees next; its numbers are in the head ``X-Camctl-Facts``."""
     query = request.query
     try:
         after = int(query.get("after", "0"))
@@ -39,3 +41,21 @@ def _share(text: str) -> float:
     if not 0 <= value <= 1:  # NaN is not, either
         raise ValueError(text)
     return value
+
+
+def cost_picture(studio: Studio, request: Request) -> Answer:
+    """Return the picture of an entry of the list: ``look/picture/INDEX``."""
+    return _answer(studio.model.costs, request)
+
+
+def point_picture(studio: Studio, request: Request) -> Answer:
+    """Return the picture of a point of the front: ``time/picture/INDEX``."""
+    return _answer(studio.model.front, request)
+
+
+def _answer(costs: Sequence[Cost | None], request: Request) -> Answer:
+    index = int(request.rest) if request.rest.isdecimal() and len(request.rest) < 4 else -1
+    cost = costs[index] if 0 <= index < len(costs) else None
+    if cost is None or cost.draw is None:
+        raise RefusedError(NOT_FOUND, "there is no such picture")
+    return Answer.of_picture(cost.draw())
