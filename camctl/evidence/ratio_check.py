@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict
 class ReportModel(BaseModel):
     """A part of a report, which has no unknown fields."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", defer_build=True)
 
 
 SIGNIFICANCE = 0.01

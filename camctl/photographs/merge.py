@@ -60,12 +60,16 @@ def darkest_light(camera: PhotographCamera, patches: Sequence[Patches]) -> float
         patches: samples of each photograph, see `sample_patches`
     """
     controls, times = camera.controls, camera.times_s
-    scales = [SensorModel(each, controls.black) for each in controls.plane_levels]
+    exposures, gains = [each / min(times) for each in times], [1.0] * len(times)
+    levels = controls.plane_levels
+    planes = [np.array_split(each, len(levels)) for each in patches]
     found = []
-    for plane, scale in enumerate(scales):
-        parts = [np.array_split(each, len(scales))[plane] for each in patches]
-        real, exposures = controls.plane_levels[plane], [each / min(times) for each in times]
-        fit = fit_noise(real, parts, exposures, [1.0] * len(times), controls.black)
+    for real in dict.fromkeys(levels):
+        used = [k for k, each in enumerate(levels) if each is real]
+        parts = [np.concatenate([each[k] for k in used]) for each in planes]
+        scale = SensorModel(real, controls.black)
+        # Of all colours together where they have one response, as `measure_noise` asks later.
+        fit = fit_noise(real, parts, exposures, gains, controls.black)
         read = 0.0 if fit is None else math.sqrt(fit.noise[1])
         light = np.full(parts[0].size, np.nan)
         for position in np.argsort(times)[::-1].tolist():

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from camctl.calibration import measure_delay
+from camctl.calibration.delay import measure_delay
 from camctl.interface.camera import Camera, PreviewingCamera, StreamingCamera
 from camctl.interface.clock import Clock, VirtualClock
 from camctl.profiles.profile import change_profile
