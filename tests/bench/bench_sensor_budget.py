@@ -112,7 +112,6 @@ def per_scene(
                 "exact": partial(plan_and_expose, exact, numbered(exact, shot)),
                 "tolerance": partial(plan_and_expose, loose, numbered(loose, shot)),
                 "at most": partial(expose_all, kept, numbered(kept, shot), fewest),
-                "plan": partial(plan_frame, shot, tolerance_dn),
             }
             taken = usual_seconds(works, rounds)
             chosen = plan_frame(shot, tolerance_dn)
@@ -122,10 +121,7 @@ def per_scene(
                 {
                     "scene": name,
                     "exposure": exposure,
-                    "time_s": shot.time_s,
                     "ms": {key: seconds * 1e3 for key, seconds in taken.items()},
-                    "left_out": sorted(chosen.left_out),
-                    "joint_bound_dn": chosen.joint_bound_dn,
                     "exact_difference_dn": float(
                         np.abs(exact.brightness(shot, plan_frame(shot, 0.0)) - everything).max()
                     ),
