@@ -142,7 +142,7 @@ def _list_detail(model: Model, index: int) -> Line | None:
         return Line(
             ("complete; enter shows it", "complete")
             if done
-            else ("unfinished; enter shoots the missing frames", "enter: resume")
+            else ("unfinished; enter takes what is missing", "enter: resume")
         )
     if model.state is State.FRONT:
         return Line(_point_detail(model.front[index]))

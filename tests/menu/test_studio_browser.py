@@ -140,6 +140,13 @@ def test_body_without_preview_takes_a_capture_once_it_may_meter(
     page = show(job_with(lambda: pair.camera()), size)
     page.wait_for_selector("text=mode dial at M, battery")
     assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    page.click("[data-action=set]")
+    page.click(".next")
+    page.click("button:has-text('Low 1:256')")
+    page.click("[data-section=time]")
+    page.click("button:has-text('Number')")
+    page.wait_for_selector(".row:has-text('× the shortest exposure')")
+    page.click("[data-section=live]")
     page.click("[data-action=shoot]")
     page.wait_for_selector("text=(menu: Settings, Shots for metering)")
     page.click("[data-section=settings]")

@@ -1,5 +1,5 @@
 /* Response and range: each choice with the picture that it would give. */
-import {choose, command, h, levels, renew, time} from "./studio.js";
+import {choose, command, h, price, renew} from "./studio.js";
 
 let root, shown = "";
 export default {
@@ -11,16 +11,12 @@ export default {
     const cards = state.lines.map((text, place) => {
       const cost = state.costs[place], leads = state.entries[place];
       const selected = place === state.selected;
-      const facts = leads ? "" : !cost ? "computing ..." : cost.problem ? cost.problem
-        : `${levels(cost.effective_levels)} levels in ${cost.is_relative
-          ? cost.shutter_s.toPrecision(3) + " × the shortest exposure"
-          : time(cost.wall_s === null ? cost.shutter_s : cost.wall_s)}, ${cost.count} exposures`;
       const picture = leads ? null : cost && cost.has_picture
         ? h("img", {alt: `preview: ${text}`, src: `look/picture/${place}?of=${state.request}`})
         : h("span", {class: "none"}, cost ? "no preview" : "");
       return h("button", {class: "choice", "aria-pressed": String(selected), "data-entry": place,
         onclick: () => choose({index: place, take: Boolean(leads)})},
-      picture, h("strong", {}, text), h("span", {class: "pale"}, facts));
+      picture, h("strong", {}, text), h("span", {class: "pale"}, leads ? "" : price(cost)));
     });
     const here = JSON.stringify([state.state, state.selected, state.costs, state.note]);
     if (here === shown && root.isConnected) { return; }

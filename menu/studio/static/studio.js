@@ -68,6 +68,12 @@ export const percent = share => share > 0 && share < 1e-4 ? "< 0.01 %"
 export const levels = count => count < 9.95 ? count.toFixed(1) : Math.round(count).toString();
 export const range = ratio => "1:" + Math.round(ratio).toLocaleString("en");
 
+/* What the entry of a list costs; without metered light times are relative. */
+export const price = cost => !cost ? "computing ..." : cost.problem
+  || `${levels(cost.effective_levels)} levels in ${cost.is_relative
+    ? cost.shutter_s.toPrecision(3) + " × the shortest exposure"
+    : time(cost.wall_s ?? cost.shutter_s)}, ${cost.count} exposures`;
+
 /* A list of names and values. */
 export const details = pairs => h("dl", {}, pairs.flatMap(([name, text]) =>
   [h("dt", {}, name), h("dd", {}, text)]));

@@ -1,5 +1,5 @@
 /* The time dial: accuracy against time as a curve that is dragged; or a list of the same. */
-import {choose, command, details, h, levels, renew, svg, time} from "./studio.js";
+import {choose, command, details, h, levels, price, renew, svg, time} from "./studio.js";
 
 const WIDTH = 640, HEIGHT = 300, LEFT = 60, RIGHT = 20, TOP = 14, BOTTOM = 58;
 let root, dial, picture, facts, set, slider, drawn = null, sent = -1;
@@ -153,12 +153,9 @@ export default {
     drawn = null;
     const list = state.lines.map((text, place) => {
       const cost = state.costs[place], leads = state.entries[place];
-      const words = leads ? "" : !cost ? "computing ..." : cost.problem || [
-        cost.wall_s === null ? time(cost.shutter_s) : time(cost.wall_s),
-        `${levels(cost.effective_levels)} levels`, `${cost.count} exposures`].join(", ");
       return h("button", {class: "row", "aria-pressed": String(place === state.selected),
         "data-entry": place, onclick: () => choose({index: place, take: Boolean(leads)})},
-      h("strong", {}, text), h("span", {class: "pale"}, words));
+      h("strong", {}, text), h("span", {class: "pale"}, leads ? "" : price(cost)));
     });
     renew(root, tabs(state, state.lines.length ? () => choose({key: "enter"}) : null),
       h("div", {class: "rows"}, list),
