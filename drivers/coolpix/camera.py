@@ -24,6 +24,7 @@ from camctl.findings import note
 from camctl.interface.backends import LowerCase
 from camctl.interface.camera import CameraInfo, Frame, OriginalFile
 from camctl.interface.clock import CaptureTiming, Clock, RealClock
+from camctl.interface.colour import BT709
 from camctl.interface.controls import (
     Choices,
     Control,
@@ -135,6 +136,7 @@ class CoolpixCamera(StillCamera):
             made,
             timing=made.timing or CaptureTiming(download_s=transfer_s),
             tolerance=_TOLERANCE,
+            colour=BT709 if record.layout is Layout.RGB else None,
             findings=(*map(note, (*notes, *dials.notes)), *made.findings),
         )
 

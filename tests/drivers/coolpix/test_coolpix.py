@@ -89,6 +89,7 @@ class TestPictures:
     ) -> None:
         with coolpix_on(device) as camera:
             frames = shoot(camera)
+            assert camera.controls.colour is BT709  # the camera has developed it, as a JPEG
         for frame, setting in zip(frames, SETTINGS, strict=True):
             exposed = device.body.sensor.expose(setting.time_s)
             assert np.array_equal(frame.pixels[..., 0], exposed)
