@@ -17,12 +17,9 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-import numpy as np
-
 from camctl.calibration.delay import measure_delay
 from camctl.calibration.exposures import measure_exposures
 from camctl.calibration.light import LONGEST_S
-from camctl.calibration.limits import FEW
 from camctl.calibration.noise.dark import measure_dark
 from camctl.calibration.noise.pattern import (
     View,
@@ -32,9 +29,8 @@ from camctl.calibration.noise.pattern import (
 )
 from camctl.calibration.noise.shooting import measure_noise
 from camctl.calibration.response.estimate import ResponseEstimate, estimate_response
-from camctl.calibration.response.series import Series
-from camctl.calibration.response.shooting import FRAMES, measure_response
-from camctl.errors import CamctlError, CaptureError, DataError
+from camctl.calibration.response.shooting import measure_response
+from camctl.errors import CamctlError
 from camctl.findings import Finding
 from camctl.interface.camera import Camera, StreamingCamera
 from camctl.interface.controls import ExposureSetting
@@ -216,7 +212,6 @@ class _Calibration:
         self._open_camera, self._options = open_camera, options
         self._exposures: ExposureRecord | None = None
         self._change = 0.0
-        self._unsaturated_s = 0.0
         self._residual = math.inf
         self._first: ResponseRecord | None = None
 
@@ -259,17 +254,7 @@ class _Calibration:
 
     def _measure_response(self, camera: Camera, options: StepOptions, progress: Progress) -> Found:
         series = measure_response(camera, longest_s=options.longest_s, progress=progress)
-        self._unsaturated_s = _unsaturated(camera, series)
-        try:
-            estimate = estimate_response(series)
-        except DataError as reason:  # in a scene with few shades more frames may help
-            try:
-                series = measure_response(
-                    camera, count=2 * FRAMES, longest_s=options.longest_s, progress=progress
-                )
-                estimate = estimate_response(series)
-            except (CaptureError, DataError):
-                raise reason from None
+        estimate = estimate_response(series)
         for finding in estimate.findings:
             options.warn(finding)
         self._residual = estimate.residual
@@ -296,20 +281,9 @@ class _Calibration:
 
     def _measure_exposures(self, camera: Camera, options: StepOptions, progress: Progress) -> Found:
         camera.controls.check_response("exposure")
-        try:
-            record = measure_exposures(
-                camera, longest_s=options.longest_s, progress=progress, warn=options.warn
-            )
-        except (CaptureError, DataError) as reason:
-            # A saturated frame may leave charge in the next one: times without saturation are left.
-            if not self._unsaturated_s:
-                raise
-            try:
-                record = measure_exposures(
-                    camera, longest_s=self._unsaturated_s, progress=progress, warn=options.warn
-                )
-            except (CaptureError, DataError):
-                raise reason from None
+        record = measure_exposures(
+            camera, longest_s=options.longest_s, progress=progress, warn=options.warn
+        )
         mode = exposure_mode(camera.controls)
         wrong = max(abs(each.factor - 1) for each in (*record.times, *record.gains))
         self._change, self._exposures = _change(self._exposures, record), record
@@ -336,17 +310,6 @@ def _change(before: ExposureRecord | None, now: ExposureRecord) -> float:
         if before is None or each.value in known
     ]
     return max(logs, default=0.0) - min(logs, default=0.0)
-
-
-def _unsaturated(camera: Camera, series: Series) -> float:
-    """Return the longest time of a series at which hardly a sample is saturated, s; 0: none."""
-    gain = camera.controls.gain.nearest(1.0)
-    times = [
-        exposure / gain
-        for exposure, patches in zip(series.exposures, series.patches, strict=True)
-        if np.mean(patches >= series.white) <= FEW
-    ]
-    return max(times, default=0.0)
 
 
 def _response_found(camera: Camera, estimate: ResponseEstimate) -> Found:
