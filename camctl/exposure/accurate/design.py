@@ -42,7 +42,7 @@ MOST_EXCHANGED = 16
 REFINED = 2
 """Sets of different numbers of frames whose times are tuned, if it is quick, and of which frames
 are then exchanged: with 4 of them 124 cases have at most 0.0024 % fewer, with 1 none of 36 has
-fewer levels (`tests/bench/bench_front_constants.py`, as all that is said here of other values)."""
+fewer levels."""
 
 REGAINED = 2
 """Sets whose gains are shared among their frames in other ways: with 1 of them, and with 4, 18
@@ -55,11 +55,6 @@ ENOUGH = 1e-4
 """Gain in the estimated error up to which a round of changes is the last: 0.005 % of the levels,
 while the ratios of exact levels to the estimate differ by 0.22 % between sets.  With 2e-6 and 1e-3,
 18 cases differ by at most 0.0022 %."""
-
-CHEAPER = 10.0
-"""Factor of the weight of time at which short frames are tried beside those of the best merit: many
-of them may bring what one long frame does.  Without them one of 124 cases has 0.1 % fewer levels;
-with 3 and 30, 18 cases have as many."""
 
 MOST_PATTERNS = 4000
 """Ways to share the gains among frames that are compared at once, at most: some 10 ms.  16 frames
@@ -195,7 +190,7 @@ class DesignSearch(TunedSets):
 
     def _added(self, design: Design, weight: float) -> Design:
         """Return a set with the best frame added, and each frame then exchanged."""
-        (larger,) = self._larger(design, math.inf, (weight,))
+        (larger,) = self._larger(design, math.inf, weight)
         return self.exchanged(larger, weight, sizes=False)
 
     def at_weight(self, weight: float) -> Design:
@@ -328,12 +323,10 @@ class DesignSearch(TunedSets):
         for resized in (self._larger, self._smaller):
             current = design
             while current.mse < design.mse * NEAR_MSE:
-                weight = self.weight_of(current)
-                trials = resized(current, limit, (weight, CHEAPER * weight))
+                trials = resized(current, limit, self.weight_of(current))
                 if not trials:
                     break
-                fitted = (self.fitted(each, limit) for each in trials)
-                current = self.refitted(min(fitted, key=_mse), limit)
+                current = self.refitted(self.fitted(trials[0], limit), limit)
                 if not self.is_list:  # there it would change the number
                     current = self._improved(current, limit)
                 found.append(current)
@@ -400,27 +393,21 @@ class DesignSearch(TunedSets):
                 found.append(self.design(place, gains))
         return found
 
-    def _smaller(
-        self, design: Design, limit: float, weights: tuple[float, ...] = (1.0,)
-    ) -> list[Design]:
-        """Return a set without the frame that is worth least at each weight of time."""
+    def _smaller(self, design: Design, limit: float, weight: float = 1.0) -> list[Design]:
+        """Return a set without the frame that is worth least; none where there are too few."""
         if design.n == self.counts[0] or self.least_time(design.n - 1) > limit * (1 + SAME):
             return []
         rest, time, has_base = self.rests(design)
-        mse = self.frames.mse(rest)
-        merits = (np.where(has_base, self.merits(mse, time, each), np.inf) for each in weights)
-        return [self.changed(design, [], [int(each[:-1].argmin())]) for each in merits]
+        merits = np.where(has_base, self.merits(self.frames.mse(rest), time, weight), np.inf)
+        return [self.changed(design, [], [int(merits[:-1].argmin())])]
 
-    def _larger(
-        self, design: Design, limit: float, weights: tuple[float, ...] = (1.0,)
-    ) -> list[Design]:
-        """Return a set with the frame that is worth most at each weight of time."""
+    def _larger(self, design: Design, limit: float, weight: float = 1.0) -> list[Design]:
+        """Return a set with the frame that is worth most; none where it does not fit."""
         if design.n == self.counts[1] or self.least_time(design.n + 1) > limit * (1 + SAME):
             return []
         mse = self.frames.mse(design.parts.sum(axis=1)[:, np.newaxis] + self.parts)
         (time,) = self.times_with(design, np.array([design.time]), np.array([design.n]))
-        merits = (self.merits(mse, time, each) for each in weights)
-        return [self.changed(design, [int(each.argmin())], []) for each in merits]
+        return [self.changed(design, [int(self.merits(mse, time, weight).argmin())], [])]
 
     def _paired(self, design: Design, limit: float) -> Design:
         """Return a set on a list improved by exchanges of pairs with near settings."""
