@@ -23,7 +23,7 @@ def photographs(quality: int, gains: tuple[float, float, float]) -> list[NDArray
         gains: that red, green and blue were multiplied by after they were read
     """
     rng = np.random.default_rng(0)
-    across, down = np.meshgrid(np.linspace(0, 1, 352), np.linspace(0, 1, 240))
+    across, down = np.meshgrid(np.linspace(0, 1, 512), np.linspace(0, 1, 384))
     light = 6 * 20 ** across[..., np.newaxis] * (1 + down[..., np.newaxis] * (0.3, 0, -0.3))
     found = []
     for exposure in EXPOSURES:

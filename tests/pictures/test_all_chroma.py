@@ -60,7 +60,7 @@ def test_what_files_of_all_chroma_lose_alike_is_part_of_the_standard_deviation(
     assert 0.62 < np.mean(z < 0.99446) < 0.78
 
 
-@pytest.mark.parametrize("least", [1 << 60, 1])
+@pytest.mark.parametrize("least", [1 << 60, pytest.param(1, marks=pytest.mark.slow)])
 def test_samples_near_white_count_as_far_as_the_rounding_of_their_file_lets_them(
     monkeypatch: pytest.MonkeyPatch, least: int
 ) -> None:
@@ -80,6 +80,7 @@ def test_samples_near_white_count_as_far_as_the_rounding_of_their_file_lets_them
     assert 0.85 < np.std(z[np.isfinite(z)]) < 1.15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sampling", [_ALL, _FEW])
 def test_light_of_few_colours_is_that_of_numpy_where_it_is_compiled(
     monkeypatch: pytest.MonkeyPatch, sampling: int

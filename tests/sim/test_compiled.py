@@ -79,6 +79,7 @@ def test_photon_counts_are_the_same_for_every_mean(size: int) -> None:
 
 
 @pytest.mark.parametrize("most", [4, 20, 40, 200])
+@pytest.mark.slow
 def test_photon_counts_are_the_same_for_light_of_any_range(most: float) -> None:
     """Where most means are low all are looked up first, else they are expanded first."""
     pytest.importorskip("numba")
