@@ -274,30 +274,6 @@ def test_gain_extends_a_list_of_shutter_times() -> None:
     assert plan.settings[0].exposure == pytest.approx(2.0**-6)  # at a gain that takes less time
 
 
-@pytest.mark.parametrize("budget_s", some([0.2, 0.5, 5.0], every=2, first=1))
-def test_time_budget_is_kept_and_used(budget_s: float) -> None:
-    with small_camera() as camera:
-        plan = plan_capture(camera, CaptureRequest("log", 1000.0, 3, time_budget_s=budget_s))
-        free = plan_capture(camera, CaptureRequest("log", 1000.0, 3))
-    assert plan.wall_s is not None
-    assert free.wall_s is not None
-    assert plan.wall_s <= budget_s
-    assert plan.wall_s >= 0.9 * min(budget_s, free.wall_s)
-    assert plan.xi >= free.xi * 0.99
-
-
-@pytest.mark.parametrize(
-    ("objective", "least"),
-    [("xi", r"the least is 0\.16"), ("accuracy", r"3 exposures take 0\.16\d* s at least")],
-)
-def test_time_budget_that_is_too_short_is_refused_with_the_least(
-    objective: str, least: str
-) -> None:
-    request = CaptureRequest("log", 1000.0, 3, time_budget_s=0.01, objective=objective)
-    with small_camera() as camera, pytest.raises(UsageError, match=least):
-        plan_capture(camera, request)
-
-
 def test_tolerance_takes_the_fewest_exposures() -> None:
     request = CaptureRequest("log", 1000.0, 6, tolerance=20.0, levels_wanted=200.0)
     with small_camera() as camera:

@@ -152,15 +152,6 @@ UNREADABLE = [
 """Command lines, and the file that each reads."""
 
 
-@pytest.mark.parametrize(("line", "name"), UNREADABLE)
-def test_folder_in_place_of_a_file_is_one_line(run: Run, line: str, name: str) -> None:
-    Path(name).mkdir()
-    ran = run(*line.split())
-    assert ran.status == 1
-    assert name in ran.error
-    assert "internal error" not in ran.error
-
-
 @pytest.mark.slow
 def test_file_without_permission_is_one_line(folder: Path) -> None:
     for _, name in UNREADABLE:

@@ -16,7 +16,6 @@ from camctl.interface.backends import is_local
 from camctl.messages.command_line import with_remedies
 from camctl.records.folder_store import resumption
 
-LIGHT = {"span": 2.0, "is_open": False, "clips": 0.5, "dark": 0.1, "needed": 1.0}
 SMALL = ("-O", "size=64x48", "--ratios", "1,4", "--base", "0.01")
 
 
@@ -136,19 +135,3 @@ def test_the_command_that_goes_on_can_be_pasted(run: Run, name: str) -> None:
     folder = os.fsdecode(printed.split(b"\0")[1])
     assert Path(folder).absolute() == Path(name).absolute()
     assert not Path("pwn").exists()
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("levels_wanted", 1e308),
-        ("light", {**LIGHT, "clips_stops": 9e99}),
-        ("light", {**LIGHT, "clips_stops": -1}),
-    ],
-)
-def test_numbers_of_a_plan_have_limits(run: Run, begun: Path, field: str, value: object) -> None:
-    plan = json.loads((begun / "report.json").read_text())["plan"]
-    edit(begun, plan={**plan, field: value})
-    ran = resume(run)
-    assert ran.status != 0
-    assert f"here/report.json is damaged: plan.{field}" in ran.error

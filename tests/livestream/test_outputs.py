@@ -279,29 +279,6 @@ def test_opencv_and_a_lost_reader_take_the_stream() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="apt-get install ffmpeg")
-def test_ffmpeg_takes_the_stream(tmp_path: Path) -> None:
-    with served() as output:
-        url = output.site.url + "video"
-        options = [
-            "-f",
-            "mpjpeg",
-            "-i",
-            url,
-            "-frames:v",
-            "5",
-            "-pix_fmt",
-            "gray",
-            "-f",
-            "rawvideo",
-        ]
-        done = subprocess.run(
-            ["ffmpeg", "-v", "error", *options, "-"], capture_output=True, check=True, timeout=60
-        )
-    assert len(done.stdout) == 5 * 48 * 64
-
-
-@pytest.mark.slow
 @pytest.mark.skipif(
     shutil.which("chromedriver") is None, reason="apt-get install chromium chromium-driver"
 )

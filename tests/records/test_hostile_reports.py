@@ -18,6 +18,8 @@ from camctl.errors import (
 )
 from camctl.records.folder_store import read_report
 
+LIGHT = {"span": 2.0, "is_open": False, "clips": 0.5, "dark": 0.1, "needed": 1.0}
+
 # Format version
 
 
@@ -105,7 +107,13 @@ def test_report_must_be_possible(tmp_path: Path, field: str, value: object, prob
     assert contents(tmp_path) == before
 
 
-@pytest.mark.parametrize("change", [{"response": "x"}, {"levels_wanted": -1.0}, {"settings": []}])
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({"response": "x"}, {"levels_wanted": -1.0}, {"levels_wanted": 1e308}, {"settings": []}),
+        *({"light": {**LIGHT, "clips_stops": stops}} for stops in (-1, 9e99)),
+    ],
+)
 def test_plan_of_a_report_must_be_possible(tmp_path: Path, change: dict[str, Any]) -> None:
     folder = one_of_two(tmp_path / "out")
     edit(folder, lambda report: report["plan"].update(change))

@@ -59,18 +59,6 @@ def test_n_exposures_take_exactly_n_plus_d_slots(delay: int, counts: list[int]) 
         assert camera.device.lost == 0
 
 
-@given(st.integers(0, 3), st.integers(1, 3), st.integers(1, 6), st.integers(0, 50))
-def test_varying_delay_settles_for_each_exposure(
-    delay: int, jitter: int, n: int, seed: int
-) -> None:
-    with open_steady(delay, jitter, seed=seed) as camera:
-        assert camera.controls.delay_frames is None
-        slots = camera.device.upcoming
-        for frame in camera.shoot(lines(*range(10, 10 + n))):
-            check_exposure(camera, frame)
-        assert camera.device.upcoming - slots == n * (delay + jitter + 1)
-
-
 def test_varying_delay_has_all_values_in_its_range() -> None:
     delays = set()
     with open_steady(1, 2) as camera:
