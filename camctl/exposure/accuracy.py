@@ -100,7 +100,7 @@ def solve_accuracy(
     >>> problem = AccuracyProblem(linear_response(8), desired_response("log", 1000.0), noise)
     >>> found = solve_accuracy(problem, [3])
     >>> [round(e) for e in found.exposures], round(found.effective_levels)
-    ([1, 10, 82], 101)
+    ([1, 9, 80], 101)
     """
     for count in counts:
         check_count(count)

@@ -301,7 +301,10 @@ class DesignSearch(TunedSets):
         tuned = [self.refitted(each, limit) for each in fitted[: None if thorough else REFINED]]
         tuned = _best_of_each(tuned)
         kept = [each for each in tuned if each.mse < tuned[0].mse * NEAR_MSE]
-        found = _best_of_each([*(self._improved(each, limit) for each in kept[:REFINED]), *tuned])
+        kept = kept[:REFINED]
+        if thorough and not self.is_list:
+            kept.append(self.scaled(self.evened(kept[0]), limit))
+        found = _best_of_each([*(self._improved(each, limit) for each in kept), *tuned])
         known: dict[int, float] = {}
         while thorough:
             found = _best_of_each([*found, *self._resized_on(found[0], limit, known)])

@@ -235,6 +235,11 @@ class TunedSets(FrameSets):
         """Return the set with other times, tuned for a time, at the same gains."""
         return self.refitted(self.fitted(design, limit), limit)
 
+    def evened(self, design: Design) -> Design:
+        """Return a set of the same gains whose ln(exposure) are at equal distances."""
+        even = np.linspace(0.0, design.log_exposure[-1], design.n)
+        return self.design(np.clip(even, *self.limits(design.gain)), design.gain)
+
     def neighbours(self, design: Design, limit: float, share: float) -> list[Design]:
         """Return a set with each time but the first `share` longer or shorter.
 

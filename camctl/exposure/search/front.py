@@ -44,7 +44,7 @@ from camctl.model.effective import EffectiveCamera
 from camctl.model.noise import FrameNoise
 from camctl.model.response.desired import DesiredResponse
 
-VERSION = 20
+VERSION = 21
 """Part of the key of a kept point; it changes where the search finds other settings."""
 
 POINTS = 12
