@@ -121,6 +121,13 @@ def test_invalid_series_are_one_line(
     assert ran.status == status
 
 
+def test_files_of_different_kinds_are_refused(run: Run) -> None:
+    first, second, *_ = write(pictures())
+    cv2.imwrite(str(second), np.zeros((120, 160, 3), np.uint8))
+    error = run("calibrate", "response", first, second, "--times", "1,4").error
+    assert "frame-1.png is rgb, 8 bits, and frame-0.png is mono, 8 bits" in error
+
+
 def test_a_dark_scene_is_refused(run: Run) -> None:
     ran = run("calibrate", "response", "--scene", "night-street", "--longest", "0.001")
     assert ran.status == 1

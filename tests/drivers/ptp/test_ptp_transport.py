@@ -179,6 +179,12 @@ class TestReceiving:
         assert len(pipes.receive(3, limit=1000).payload) == 3 * PACKET - 12
         assert pipes.receive(3, limit=0).code == OK
 
+    def test_no_read_is_smaller_than_a_packet(self) -> None:
+        """A longer packet would be an overflow, and its data lost."""
+        pipes, device = transport([container(DATA, 0x1009, 3, bytes(1000)), RESPONSE_3])
+        pipes.receive(3, limit=1000)
+        assert all(size % PACKET == 0 for size in device.bulk_in.reads)
+
     def test_containers_of_earlier_transactions_are_discarded(self) -> None:
         earlier = [container(RESPONSE, 0x2002, 1), container(DATA, 1, 2, b"x")]
         pipes, _ = transport([*earlier, RESPONSE_3])
