@@ -250,6 +250,14 @@ def test_step_returns_consecutive_frames(
     assert numbers[0] == source.writes[-1]
 
 
+def test_step_settles_for_the_largest_guaranteed_delay() -> None:
+    source = Numbered(lambda number: (9, 1)[number % 2])
+    delay = ControlDelay(1, 9, DelayOrigin.GUARANTEED)
+    shots = pipeline(source, delay).step(ExposureSetting(2.0), ExposureSetting(4.0), 2)
+    assert [shot.data for shot in shots] == [2.0, 4.0]
+    assert source.writes == [0, 10]
+
+
 def test_step_is_not_possible_if_frames_are_always_lost() -> None:
     source = Numbered(lambda _: 1, lost=frozenset(range(0, 9000, 3)))
     with pytest.raises(CameraProtocolError, match="frames are lost, damaged, or arrive"):

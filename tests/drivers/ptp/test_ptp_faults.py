@@ -30,7 +30,7 @@ from camctl.sim.devices.ptp.protocol import Reply
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
 VENDORS = ["none", "nikon", "canon", "sony", "fuji", "olympus", "panasonic"]
-INITIATE_CAPTURE = 0x100E
+INITIATE_CAPTURE, STORE_FULL = 0x100E, 0x400A
 
 
 def with_fault(
@@ -149,6 +149,16 @@ class TestLastingFaults:
                 shoot(camera, settings)
             device.do("ok")
             assert len(shoot(camera, settings)) == 1
+
+    def test_a_card_that_an_exposure_fills_is_reported(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        with camera_on() as (camera, device):
+            settings = settings_at(camera, 1 / 125)
+            full = lambda _files: device.responder.announce(STORE_FULL, 0x10001)  # noqa: E731
+            monkeypatch.setattr(device.responder, "store", full)
+            with pytest.raises(CameraError, match=r"^the card of .* is full; make room"):
+                shoot(camera, settings)
 
     @pytest.mark.parametrize("vendor", VENDORS)
     def test_a_low_battery_is_reported(self, vendor: str) -> None:

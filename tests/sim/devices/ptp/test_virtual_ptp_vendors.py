@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 
+import pytest
 from ptp_initiator import BUSY, Initiator, connected, numbers
 
 NIKON_MEMORY, NO_HANDLE = 0xFFFF0001, 0xFFFFFFFF  # handles: of a picture in memory; none
@@ -47,6 +48,25 @@ def test_eos_refuses_settings_and_captures_outside_remote_mode() -> None:
     assert eos_set(host, 0xD102, 0x60) == DENIED
     assert host.response(0x910F) == DENIED
     assert host.response(0x100E, 0, 0) == 0x2005
+
+
+@pytest.mark.parametrize(
+    ("place", "kind", "at"), [(2, 0xC181, 20), (4, 0xC186, 12)], ids=["card", "computer"]
+)
+def test_eos_states_the_size_of_a_new_picture(place: int, kind: int, at: int) -> None:
+    """At this byte of the body of the record."""
+    _, host = connected(vendor="canon")
+    host.do(0x9114, 1)
+    host.do(0x9115, 1)
+    assert eos_set(host, 0xD11C, place) == 0x2001
+    host.do(0x910F)
+    host.sleep(5)
+    data, bodies = host.get(0x9116), {}
+    while data:
+        length, code = struct.unpack_from("<II", data)
+        bodies[code], data = data[8:length], data[length:]
+    (handle,) = struct.unpack_from("<I", bodies[kind])
+    assert struct.unpack_from("<I", bodies[kind], at) == (len(host.get(0x9104, handle)),)
 
 
 # Sony
