@@ -3,7 +3,7 @@
 The kernel reports a change once the line has been still for the debounce period
 (Documentation/userspace-api/gpio, gpio-v2-line-attribute), by the time of that moment.  It counts
 the period in jiffies and starts with the next one (drivers/gpio/gpiolib-cdev.c, debounce_setup, and
-kernel/time/timer.c, calc_index), as tests/virtual_hardware/lines_in_guest.py shows on a kernel.
+kernel/time/timer.c, calc_index), as tests/virtual_hardware/guest/test_gpio_keys.py shows on one.
 """
 
 from __future__ import annotations
