@@ -118,8 +118,11 @@ def _shorter(request: CaptureRequest, plan: CapturePlan, controls: ExposureContr
     if request.base_s is not None:
         return {"base_s": False}, {}
     light = plan.light
-    if plan.scene is None or light is None or light.clips <= NEARLY_MUCH:
+    if light is None or light.clips <= NEARLY_MUCH:
         return {}, {}
+    if plan.scene is None:  # a folder does not keep it: for a resumed capture nothing can be tried
+        asked = [*_shorter_requests(request)] if controls.repeatable else []
+        return _advice(request, _Tried(asked[-1], plan, 0.0)) if asked else ({}, {})
     best: _Tried | None = None
     for shorter in _shorter_requests(request):
         tried = _predict(shorter, plan.scene, controls)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
-from small_cameras import small_camera, sum_of_frames
+from small_cameras import gradient, small_camera, sum_of_frames
 
 from camctl.captures.sequencer import capture, resume
 from camctl.errors import (
@@ -50,6 +50,21 @@ def test_frames_before_a_failure_are_kept_and_resume_completes_them(
         assert np.array_equal(np.load(tmp_path / "out" / "frames" / f"frame-0{k}.npy"), before)
     total = sum_of_frames(tmp_path / "out", report)
     assert np.array_equal(tifffile.imread(tmp_path / "out" / "sum.tiff"), total)
+
+
+def test_advice_of_a_resumed_capture_is_to_clip_less_where_that_was_asked_for(
+    tmp_path: Path,
+) -> None:
+    """A smaller aperture changes nothing: the exposure is metered again."""
+    request = CaptureRequest(dynamic_range=256.0, count=2, clip_percent=20.0)
+    with (
+        small_camera("standard", gradient(), Faults(unplug_after=1)) as camera,
+        pytest.raises(CameraDisconnectedError),
+    ):
+        capture(camera, request, tmp_path / "out")
+    with small_camera("standard", gradient()) as camera:
+        (finding,) = resume(camera, tmp_path / "out").findings
+    assert (finding.code, finding.remedies) == ("light_above_range", {"clip_percent": False})
 
 
 @pytest.fixture
