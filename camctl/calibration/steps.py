@@ -280,7 +280,6 @@ class _Calibration:
         )
 
     def _measure_exposures(self, camera: Camera, options: StepOptions, progress: Progress) -> Found:
-        camera.controls.check_response("exposure")
         record = measure_exposures(
             camera, longest_s=options.longest_s, progress=progress, warn=options.warn
         )

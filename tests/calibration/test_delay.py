@@ -20,7 +20,6 @@ from camctl.calibration.delay import (
     MOST_FRAMES,
     InvalidStep,
     StepResponse,
-    delay_of_frames,
     find_step,
     measure_delay,
 )
@@ -385,12 +384,3 @@ def test_delays_of_time_and_gain_are_measured_and_used_apart(time: int, gain: in
             assert light == pytest.approx([light[0]] * len(plan), rel=0.05)
             if delay is not None:  # n + d frames, and one at rest
                 assert camera.device._running - before <= len(plan) + delay + 2
-
-
-@pytest.mark.parametrize("delay", range(-1, 5))
-def test_frames_without_a_camera_show_a_delay_of_any_sign(delay: int) -> None:
-    exposures = np.repeat([1.0, 4.0, 1.0, 4.0, 1.0], 10)
-    shown = [exposures[min(max(k - delay, 0), 49)] for k in range(50)]
-    frames = [np.full((4, 4), 50 * light, np.uint8) for light in shown]
-    record = delay_of_frames(frames, exposures.tolist(), lambda _: None)
-    assert record.frames == delay

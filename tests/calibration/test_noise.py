@@ -90,15 +90,6 @@ def test_figures_agree_with_the_sensor(sensor: str, scene: str) -> None:
     assert abs(record.correlation or 0) < 0.03
 
 
-@pytest.mark.slow
-def test_noise_model_is_that_of_the_sensor() -> None:
-    model = measure("phone", exposures=8).noise_model()
-    assert model.conversion_e_per_dn == pytest.approx(6.0, rel=0.02)
-    assert [gain for gain, _ in model.read_noise_e] == [1.0, 4.0, 16.0]
-    assert model.read_noise(8.0) == pytest.approx(5.0, rel=0.03)
-    assert model.full_well_e == pytest.approx(5754, rel=0.02)  # the ADC ends before the well
-
-
 def test_prnu_is_measured_on_a_flat_field() -> None:
     record = measure("ccd", "uniform", is_flat=True)
     assert record.prnu is not None

@@ -8,7 +8,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import tifffile
 from command_line import Run
 from numpy.typing import NDArray
 
@@ -33,13 +32,10 @@ def pictures(bits: int = 8) -> list[NDArray[Any]]:
     ]
 
 
-def write(frames: list[NDArray[Any]], suffix: str = ".png") -> list[Path]:
-    paths = [Path(f"frame-{k}{suffix}") for k in range(len(frames))]
+def write(frames: list[NDArray[Any]]) -> list[Path]:
+    paths = [Path(f"frame-{k}.png") for k in range(len(frames))]
     for path, frame in zip(paths, frames, strict=True):
-        if suffix == ".tiff":
-            tifffile.imwrite(path, frame)
-        else:
-            assert cv2.imwrite(str(path), frame)
+        assert cv2.imwrite(str(path), frame)
     return paths
 
 
@@ -54,20 +50,17 @@ def test_a_camera_is_measured_and_the_result_is_kept(run: Run) -> None:
         assert np.all(np.diff(B) > 0)
         assert np.abs(np.interp(srgb_to_linear(B), E, B) - B).max() < 0.02
         assert len(channel["confidence"]) == E.size
-        table, expected = np.array(channel["levels"]), srgb_to_linear(np.arange(256) / 255)
-        assert table[0] == 0
-        assert (
-            np.abs(table[20:-1] / table[128] / (expected[20:-1] / expected[128]) - 1).max() < 0.05
-        )
     (profile,) = list_profiles()
-    assert list(profile.responses) == ["rgb-160x120-255"]
+    kept = profile.responses["rgb-160x120-255"].model_dump(mode="json")["channels"]
+    assert [each["irradiance"] for each in kept] == [
+        each["irradiance"] for each in ran.json["channels"]
+    ]
     shown = run("profile", "show", profile.name)
     assert "response in rgb-160x120-255  channels R, G, B; black 0, white 255" in shown.out
 
 
-@pytest.mark.parametrize("suffix", [".png", ".tiff"])
-def test_files_are_measured_and_the_curve_is_written(run: Run, suffix: str) -> None:
-    paths = write(pictures(), suffix)
+def test_files_are_measured_and_the_curve_is_written(run: Run) -> None:
+    paths = write(pictures())
     ran = run("calibrate", "response", *paths, "--times", "1/64,1/16,1/4", "-o", "curve.txt")
     assert ran.status == 0, ran.err
     assert "clips there" in ran.out
@@ -102,23 +95,19 @@ def test_the_folder_of_a_capture_is_measured(run: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message", "status"),
+    ("arguments", "message"),
     [
-        (("--times", "1,2"), "2 exposure times were given for 3 files", 2),
-        ((), "frame-0.png does not say its exposure time", 2),
-        (("--camera", "sim"), "FILES cannot be combined with --camera", 2),
-        (("--times", "1,4,16", "--black", "300"), "invalid levels: black 300", 2),
-        (("--times", "16,4,1"), "though its exposure is shorter; check the order", 1),
-        (("--times", "1,4,16", "missing.png"), "3 exposure times were given for 4 files", 2),
+        (("--times", "1,2"), "2 exposure times were given for 3 files"),
+        ((), "frame-0.png does not say its exposure time"),
+        (("--camera", "sim"), "FILES cannot be combined with --camera"),
+        (("--times", "1,4,16", "--black", "300"), "invalid levels: black 300"),
     ],
 )
-def test_invalid_series_are_one_line(
-    run: Run, arguments: tuple[str, ...], message: str, status: int
-) -> None:
+def test_invalid_series_are_one_line(run: Run, arguments: tuple[str, ...], message: str) -> None:
     ran = run("calibrate", "response", *write(pictures()), *arguments)
     assert message in ran.error
     assert "\n" not in ran.error
-    assert ran.status == status
+    assert ran.status == 2
 
 
 def test_files_of_different_kinds_are_refused(run: Run) -> None:
@@ -155,11 +144,6 @@ def test_one_photograph_of_a_chart_is_measured(run: Run) -> None:
         E, B = np.array(channel["irradiance"]), np.array(channel["brightness"])
         found = np.interp(0.5, B, E) / np.interp(0.9, B, E)
         assert found == pytest.approx(_linear(0.5) / _linear(0.9), rel=0.1)
-    paths = write(pictures())
-    assert (
-        "no Macbeth chart was found"
-        in run("calibrate", "response", paths[2], "--chart", "macbeth").error
-    )
 
 
 def test_patches_of_a_file_are_measured(run: Run) -> None:
