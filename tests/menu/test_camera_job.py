@@ -350,6 +350,12 @@ def test_series_that_is_cancelled_is_continued_from_the_list_of_captures(tmp_pat
     (past,) = job.captures()
     assert past == Past(directory.name, is_complete=False)
     assert job.load().unfinished == 1
+    journal = directory / "series.json"
+    written = journal.read_text()
+    journal.write_text(written.replace('"serial": "', '"serial": "another '))
+    with pytest.raises(DataError, match=r"was begun with .*; connect the same"):
+        job.resume(past, lambda _: None, never)
+    journal.write_text(written)
     summary = job.resume(past, lambda _: None, never)
     assert summary.notes[0] == f"3 of 3 pictures are in {directory}"
     assert job.captures() == (Past(f"{directory.name}/set-0003", is_complete=True),)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +19,11 @@ from coolpix_bench import (
 
 from camctl.drivers.coolpix.camera import CoolpixCamera
 from camctl.drivers.coolpix.settings import CANDIDATES_US
+from camctl.errors import CameraError, CameraProtocolError
 from camctl.interface.camera import Camera
 from camctl.interface.colour import BT709
 from camctl.interface.controls import ExposureSetting, Layout
-from camctl.profiles.profile import StillRecord, change_profile
+from camctl.profiles.profile import StillRecord, change_profile, load_profile
 from camctl.sim.devices.sierra.config import SHUTTER_US
 from camctl.sim.devices.sierra.device import SierraDevice
 from camctl.stills.decoding import read_still
@@ -183,3 +185,29 @@ class TestFileFormat:
             shoot(camera, SETTINGS[:1])
         with coolpix_on(device, format="jpeg") as camera:
             assert "was taken to learn" in "\n".join(camera.controls.notes)
+
+    def test_a_wrong_profile_is_corrected_for_the_next_sequence(self, device: SierraDevice) -> None:
+        record = StillRecord(rows=1, columns=2, layout=Layout.RGB, bits=8, black=0, white=255)
+        with coolpix_on(device) as camera:
+            info = camera.info
+        change_profile(info, lambda found: found.stills.update(tiff=record))
+        with coolpix_on(device) as camera:
+            assert camera.controls.shape == (1, 2)
+            with pytest.raises(CameraProtocolError, match="has 32 x 24 samples"):
+                shoot(camera, SETTINGS[:1])
+            assert camera.controls.shape == (24, 32)
+            assert len(shoot(camera, SETTINGS)) == 2
+        assert load_profile(info).stills["tiff"].rows == 24
+        assert "tiff" in load_profile(info).timings
+
+    def test_a_file_of_another_format_is_no_frame(
+        self, device: SierraDevice, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        with coolpix_on(device) as camera:
+            learn_format(camera)
+            assert isinstance(camera, CoolpixCamera)
+            take = camera._body.take
+            jpeg = b"\xff\xd8\xff"
+            monkeypatch.setattr(camera._body, "take", lambda each: replace(take(each), data=jpeg))
+            with pytest.raises(CameraError, match="is not tiff; choose the quality with"):
+                shoot(camera, SETTINGS[:1])
