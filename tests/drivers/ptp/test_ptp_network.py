@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import struct
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from typing import Any, ClassVar
@@ -443,8 +444,17 @@ def test_gphoto2_takes_the_same_picture_from_the_virtual_camera(vendor: str, tmp
         summary = gphoto2_client.gphoto2("--port", port_of_gphoto2, "--summary", folder=tmp_path)
         assert device.responder.identity.model in summary
         data = gphoto2_client.shoot_ptp(tmp_path, port_of_gphoto2)
-        with camctl.open_camera(address, response="linear") as camera:
+        with _opened_when_free(address) as camera:
             setting = settings_at(camera, device.state()["exposure"]["time_s"])
             (frame,) = shoot(camera, setting)
     assert frame.original is not None
     assert frame.original.data == data
+
+
+def _opened_when_free(address: str) -> Camera:
+    """Open a camera once it has noticed that its last program closed the connection."""
+    for _ in range(200):
+        with suppress(CameraBusyError):
+            return camctl.open_camera(address, response="linear")
+        time.sleep(0.05)
+    raise TimeoutError(address)
