@@ -17,6 +17,7 @@ from coolpix_bench import (
     virtual_coolpix,
 )
 
+from camctl.drivers.common import known_format
 from camctl.drivers.coolpix.camera import CoolpixCamera
 from camctl.drivers.coolpix.settings import CANDIDATES_US
 from camctl.errors import CameraError, CameraProtocolError
@@ -27,6 +28,7 @@ from camctl.profiles.profile import StillRecord, change_profile, load_profile
 from camctl.sim.devices.sierra.config import SHUTTER_US
 from camctl.sim.devices.sierra.device import SierraDevice
 from camctl.stills.decoding import read_still
+from camctl.stills.exif import stated_exposure
 from camctl.testing.conformance import CameraConformance
 
 pytestmark = pytest.mark.usefixtures("own_profiles")
@@ -114,6 +116,19 @@ class TestPictures:
         known = {"few_chroma_samples": True, "brightness_steps": steps}
         assert frame.details == {"object": name, **known}
         assert "JPEG loses levels" in notes
+
+    def test_a_file_may_state_another_aperture_than_the_assumed_one(
+        self, device: SierraDevice, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """With its zoom at the long end, f-numbers are 1.6 times as large as they are assumed."""
+        monkeypatch.setattr(
+            known_format,
+            "stated_exposure",
+            lambda data: replace(stated_exposure(data), f_number=1.6 * 4.0),
+        )
+        with coolpix_on(device) as camera:
+            (frame,) = shoot(camera, [ExposureSetting(0.002, f_number=4.0)])
+        assert frame.applied.f_number == 4.0
 
     def test_only_times_that_are_read_back_unchanged_are_offered(
         self, device: SierraDevice
