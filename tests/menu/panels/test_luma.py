@@ -138,12 +138,12 @@ def test_invalid_address_is_refused(address: str, message: str) -> None:
         LumaPanel(address)
 
 
-@pytest.mark.usefixtures("oled")
-def test_display_that_cannot_be_used_is_refused() -> None:
+def test_display_that_cannot_be_used_is_refused_and_switched_off(oled: Bus) -> None:
     with pytest.raises(UsageError, match=r"luma cannot drive the display ssd1306: .*100 x 64"):
         LumaPanel(f"ssd1306,width=100,{NO_KEYS}").__enter__()
     with pytest.raises(UsageError, match="has only 64 x 48 pixels; the menu needs 96 x 16"):
         LumaPanel(f"ssd1306,width=64,height=48,{NO_KEYS}").__enter__()
+    assert not oled.is_on
 
 
 def test_panel_needs_luma(monkeypatch: pytest.MonkeyPatch) -> None:
