@@ -216,7 +216,12 @@ def test_a_journal_of_another_camera_is_not_opened_unasked(run: Run) -> None:
     ):
         Path("day/series.json").write_text(json.dumps(content | {"source": source}))
         assert message in run("resume", "day").error
-    assert run("resume", "day", "--camera", "sim", "-O", "size=16x12").status == 0
+    by_hand = ("resume", "day", "--camera", "sim", "-O", "size=16x12")
+    other = content | {"camera": content["camera"] | {"serial": "another"}}
+    Path("day/series.json").write_text(json.dumps(other))
+    assert "connect the same camera" in run(*by_hand).error
+    Path("day/series.json").write_text(json.dumps(content))
+    assert run(*by_hand).status == 0
 
 
 PROGRAM = "import sys; from camctl.cli import main; sys.exit(main(sys.argv[1:]))"
