@@ -77,27 +77,6 @@ def test_a_thing_that_is_all_that_can_be_compared_makes_no_exposure_wrong(
     assert report.movement.share > 0.1
 
 
-def test_a_thing_that_moved_in_one_photograph_is_no_wrong_exposure(
-    run: Run, series: Series
-) -> None:
-    def moved(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
-        changed = pixels.copy()
-        if k == 3:
-            changed[40:80, 100:140] = (90, 60, 40)
-        return changed
-
-    line = series(TIMES[2:6], change=moved)
-    ran = run("merge", *line, "--curve", "srgb", "--ratios", "1,2,4,8", "-o", "hall")
-    assert ran.status == 0
-    assert "wrong" not in ran.err
-    assert "trustworthy" not in ran.err
-    movement = read_report("hall").movement
-    assert movement is not None
-    place = movement.places[0]
-    assert (place.top, place.left) == pytest.approx((40, 100), abs=10)
-    assert (place.bottom, place.right) == pytest.approx((80, 140), abs=10)
-
-
 def test_a_border_of_one_pure_colour_is_cut_off(run: Run, series: Series) -> None:
     def with_border(k: int, pixels: NDArray[Any]) -> NDArray[Any]:
         pixels[: 3 + k % 3, :] = pixels[:, -8:] = (0, 0, 255)

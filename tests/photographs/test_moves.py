@@ -53,12 +53,6 @@ def test_photographs_that_lie_alike_are_not_moved(opened: Opened) -> None:
     assert "aligned" not in [each.code for each in found.facts]
 
 
-def test_without_alignment_they_are_named_as_they_were(opened: Opened) -> None:
-    found = opened(TIMES, scene=LARGE, change=by_hand, options={"align": "none"})
-    codes = [each.code for each in (*found.notes, *found.displaced.values())]
-    assert codes.count("shifted") == 3
-
-
 @pytest.mark.slow
 def test_turned_photographs_need_a_homography(opened: Opened) -> None:
     shifted = opened(TIMES, scene=LARGE, change=turned)
