@@ -216,7 +216,7 @@ def test_a_file_that_states_few_samples_of_colours_is_believed(tmp_path: Path) -
     rng = np.random.default_rng(2)
     coarse = rng.normal(0, 1, (40, 60, 3))
     coarse = 0.4 * coarse + 1.5 * coarse.mean(axis=2, keepdims=True)
-    squares = cv2.resize(coarse, (288, 192), interpolation=cv2.INTER_NEAREST)
+    squares = cv2.resize(coarse, (240, 160), interpolation=cv2.INTER_NEAREST)
     light = np.exp(cv2.GaussianBlur(squares, (0, 0), 4))
     light *= 0.04 / np.percentile(light, 95)
     files, frames, times = [], [], tuple(2.0 ** (k - 10) for k in range(6))
