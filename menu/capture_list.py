@@ -38,20 +38,21 @@ def next_folder(parent: Path, now: datetime, kind: str = "capture", place: int =
 def list_captures(parent: Path) -> tuple[Past, ...]:
     """Return the captures in a folder, the newest first, `_MOST_LISTED` of them at most.
 
-    A series has its last picture in the list, or itself where pictures are missing.
+    A series has its last complete picture in the list, and itself where pictures are missing.
     """
     if not parent.is_dir():
         return ()
     folders = sorted(parent.iterdir(), key=lambda path: (_number(path.name), path.name))
     found: list[Path] = []
     for folder in reversed(folders):
-        file = folder / SERIES
-        if not file.is_file():
-            file = folder / REPORT
-        elif _is_complete(file):
-            file = max(folder.glob(f"*/{REPORT}"), default=folder / REPORT)
-        if file.is_file():
-            found.append(file)
+        series, report = folder / SERIES, folder / REPORT
+        if series.is_file():
+            if not _is_complete(series):
+                found.append(series)
+            reports = sorted(folder.glob(f"*/{REPORT}"), reverse=True)
+            report = next(filter(_is_complete, reports), report)
+        if report.is_file():
+            found.append(report)
     shown = found[:_MOST_LISTED]
     return tuple(Past(str(each.parent.relative_to(parent)), _is_complete(each)) for each in shown)
 

@@ -347,8 +347,10 @@ def test_series_that_is_cancelled_is_continued_from_the_list_of_captures(tmp_pat
     (directory,) = tmp_path.glob("series-0001*")
     assert (directory / "set-0001" / "report.json").exists()
     assert not (directory / "set-0003").exists()
-    (past,) = job.captures()
+    past, taken = job.captures()
     assert past == Past(directory.name, is_complete=False)
+    assert taken == Past(f"{directory.name}/set-0001", is_complete=True)
+    assert job.look(taken).folder == str(directory / "set-0001")
     assert job.load().unfinished == 1
     journal = directory / "series.json"
     written = journal.read_text()
