@@ -150,6 +150,10 @@ class NoiseResult(NoiseRecord, Result):
         """Least signal, dynamic range and largest signal to noise, as ratios of amplitudes."""
         return self.emva()
 
+    def emva_figures(self) -> tuple[emva.EmvaFigure, ...]:
+        """Return the figures of EMVA 1288, with their units."""
+        return emva.figures(self)
+
     def emva_report(self) -> str:
         """Return the figures of EMVA 1288 and the photon transfer curve, in Markdown."""
         camera = self.camera

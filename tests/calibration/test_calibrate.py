@@ -11,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 
 import camctl
-from camctl.calibration import emva
 from camctl.calibration.results import StillTiming
 from camctl.model.response.camera import srgb_to_linear
 from camctl.sim.sensors.sensor import load_sensor
@@ -58,7 +57,7 @@ def test_emva_figures_and_report() -> None:
     noise = true.noise_model
     full = true.electrons_per_dn * (true.white - true.black)
     least = math.hypot(noise.read_noise(1.0), noise.conversion_e_per_dn / math.sqrt(12)) + 0.5
-    figures = {(each.symbol, each.unit): each.value for each in emva.figures(found)}
+    figures = {(each.symbol, each.unit): each.value for each in found.emva_figures()}
     assert figures["K", "DN/e-"] == pytest.approx(1 / noise.conversion_e_per_dn, rel=0.02)
     assert figures["sigma_d", "e-"] == pytest.approx(noise.read_noise(1.0), rel=0.05)
     assert figures["mu_e.sat", "e-"] == pytest.approx(full, rel=0.02)
