@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from camctl.captures.true_exposures import choose_exposures, estimate_exposures
 from camctl.captures.verdict import judge, suspected, suspects
+from camctl.evidence.chroma import states_few_chroma_samples
 from camctl.evidence.damage import Repeat, damaged_share, repeated_lines
 from camctl.evidence.delay import ShotLog
 from camctl.evidence.light_ratio import MOST_CHANGE, FrameSample, NeighbourCheck
@@ -29,7 +30,6 @@ from camctl.evidence.shown_levels import other_levels
 from camctl.findings import Finding, Place
 from camctl.interface.camera import Camera, Pixels
 from camctl.interface.controls import ExposureControls, Layout, ResponseOrigin
-from camctl.interface.layout import FEW_CHROMA_SAMPLES
 from camctl.model.noise import FrameNoise
 from camctl.model.sensor import ESTIMATED_RESPONSE_ERROR, FILE_OFFSET, RESPONSE_ERROR
 from camctl.pictures.details import thumbnail
@@ -239,8 +239,7 @@ class FrameChecks:
         ]
         sides.sort(key=lambda side: side.exposure)
         samples, found = self._check.samples(len(sides)), []
-        frames = filter(None, self._capture.frames)
-        few = any(each.details.get(FEW_CHROMA_SAMPLES) for each in frames)
+        few = states_few_chroma_samples(each.details for each in self._capture.frames if each)
         # Colours whose responses are not quite alike are distinguished where that is measured.
         colours = 3 if noise is None and self._controls.layout is Layout.RGB else 1
         for short, long in pairwise(sides):

@@ -19,6 +19,7 @@ from camctl.captures.advice import range_findings, spread_findings
 from camctl.captures.frame_checks import FrameChecks
 from camctl.captures.metering import BLACK_SHARE, OUTLIER_SHARE
 from camctl.captures.true_exposures import relative
+from camctl.evidence.chroma import states_few_chroma_samples
 from camctl.evidence.lost_detail import stated_steps
 from camctl.evidence.movement import Movement, find_movement
 from camctl.evidence.noise import measure_noise
@@ -27,7 +28,6 @@ from camctl.exposure.light import DARK_SHARE
 from camctl.exposure.objective import Objective
 from camctl.findings import Finding
 from camctl.interface.controls import ExposureControls
-from camctl.interface.layout import FEW_CHROMA_SAMPLES
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Posterior, posterior_of
 from camctl.model.noise import FrameNoise, MeasuredNoise
@@ -277,7 +277,7 @@ def _light(shot: _Shot, checks: FrameChecks, controls: ExposureControls) -> Fram
         unit=shot.full_scale_exposure,
         gains=shot.gains,
         prior=shot.desired,
-        few_chroma_samples=any(each.details.get(FEW_CHROMA_SAMPLES) for each in shot.frames),
+        few_chroma_samples=states_few_chroma_samples(each.details for each in shot.frames),
         stated_steps=stated_steps([each.details for each in shot.frames]),
     )
 

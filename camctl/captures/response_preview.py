@@ -20,13 +20,13 @@ from camctl.captures.metering import LARGEST_STEP, WAITED_S, meter_light
 from camctl.captures.plan import plan_capture
 from camctl.captures.response_sheet import PANEL_WIDTH, Panel, response_sheet
 from camctl.errors import CaptureError, UsageError
+from camctl.evidence.chroma import states_few_chroma_samples
 from camctl.evidence.lost_detail import stated_steps
 from camctl.evidence.patches import sample_patches
 from camctl.exposure.goal import AUTO, CaptureRequest
 from camctl.exposure.search.settings import relative_exposures
 from camctl.interface.camera import Camera, Frame, PreviewingCamera
 from camctl.interface.controls import ExposureControls, ExposureSetting
-from camctl.interface.layout import FEW_CHROMA_SAMPLES
 from camctl.model.effective import EffectiveCamera
 from camctl.model.inverse import Posterior, posterior_of
 from camctl.model.response.desired import desired_response
@@ -117,7 +117,7 @@ class PreviewedLight:
             unit=1.0,
             gains=[each.gain for each in settings],
             prior=desired,
-            few_chroma_samples=any(each.details.get(FEW_CHROMA_SAMPLES) for each in frames),
+            few_chroma_samples=states_few_chroma_samples(each.details for each in frames),
             stated_steps=stated_steps([each.details for each in frames]),
         )
         rendering = Rendering(

@@ -10,13 +10,14 @@ there without Y, the more of it changes within cells the more of Y does.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camctl.evidence.patches import Patches
+from camctl.interface.layout import FEW_CHROMA_SAMPLES
 from camctl.model.colour_rounding import DECODED, ENCODED
 from camctl.system.picture_operations import box_means, looked_up
 
@@ -41,6 +42,11 @@ NO_CONTRAST = 1 / 6
 _MOST_DETAIL = 0.3
 #: Squares of 2 x 2 pixels that show it, and their least detail, levels squared: six roundings.
 _LEAST_SQUARES, _LEAST_DETAIL = 1000, 0.5
+
+
+def states_few_chroma_samples(details: Iterable[Mapping[str, Any]]) -> bool:
+    """Return whether a file states it, from the details of frames; see `has_few_chroma_samples`."""
+    return any(each.get(FEW_CHROMA_SAMPLES) for each in details)
 
 
 def has_few_chroma_samples(samples: Sequence[Patches], highest: int) -> bool:
