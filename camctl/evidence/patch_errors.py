@@ -176,8 +176,9 @@ def fitted_model(part: PatchErrors, prediction: Prediction) -> Prediction:
     variance = variance + smear**2 + np.square(RESPONSE_ERROR * part.light)
     # What means scatter more is shared by neighbours, as the noise of a row and an error of the
     # response at a brightness are.
-    order, _, places = _by_brightness(part)
-    scattered = np.array_split((np.abs(errors) / np.sqrt(variance))[order], places.size)
+    order, bins = _by_brightness(part)
+    scattered = np.array_split((np.abs(errors) / np.sqrt(variance))[order], len(bins))
+    places = [median_of_ascending(each) for each in bins]
     squares = [max(1.0, (median(each) / NORMAL_MAD) ** 2) for each in scattered]
     more = np.interp(np.arange(prediction.mean.size), places, squares)
     own, shared = factor * prediction.own, prediction.shared + smear**2
@@ -189,14 +190,11 @@ def fitted_model(part: PatchErrors, prediction: Prediction) -> Prediction:
     return replace(prediction, mean=mean, own=own, shared=shared, black_error=error)
 
 
-def _by_brightness(part: PatchErrors) -> tuple[NDArray[np.intp], NDArray[np.intp], _Floats]:
-    """Return the order of patches by brightness, where bins of it end, and their medians."""
+def _by_brightness(part: PatchErrors) -> tuple[NDArray[np.intp], list[_Floats]]:
+    """Return the order of patches by brightness, and the brightness in bins of it, ascending."""
     order = np.argsort(part.brightness, kind="stable")
     count = min(MOST_BINS, part.size // LEAST_PATCHES)
-    bins, more = np.arange(count + 1), part.size % count
-    ends = bins * (part.size // count) + np.minimum(bins, more)  # as those of `np.array_split`
-    middles = np.stack([ends[:-1] + ends[1:] - 1, ends[:-1] + ends[1:]]) // 2
-    return order, ends, part.brightness[order[middles]].mean(axis=0)
+    return order, np.array_split(part.brightness[order], count)
 
 
 def _within(value: float, most: float) -> float:
@@ -208,13 +206,13 @@ def fitted_tables(part: PatchErrors, prediction: Prediction) -> Prediction:
     """Return mean and variance by brightness, measured in patches; rounding is the least."""
     if part.size < LEAST_PATCHES:
         return prediction
-    order, ends, places = _by_brightness(part)
+    order, bins = _by_brightness(part)
     least = (part.own + part.shared)[order]
     unit = np.maximum(part.light[order], np.sqrt(least))
     # Those beside a bin, too: a band of a smooth sky has one error of its own in JPEG files.
-    numbers = np.arange(places.size)
+    ends, numbers = np.cumsum([0, *map(len, bins)]), np.arange(len(bins))
     first = ends[np.maximum(numbers - 1, 0)]
-    counts = ends[np.minimum(numbers + 2, places.size)] - first
+    counts = ends[np.minimum(numbers + 2, len(bins))] - first
     columns = np.arange(counts.max())
     others = columns >= counts[:, np.newaxis]
     near = np.minimum(first[:, np.newaxis] + columns, part.size - 1)
@@ -228,6 +226,7 @@ def fitted_tables(part: PatchErrors, prediction: Prediction) -> Prediction:
     errors = np.square(biases - bias[:, np.newaxis]) * (np.square(unit) / least).take(near)
     samples = rows(part.count[order], 0.0).sum(axis=1) / counts
     shared = np.maximum(_trimmed_means(errors, counts) - own / samples, 0.0)
+    places = [median_of_ascending(each) for each in bins]
     at = np.arange(prediction.mean.size)
     bias, own, shared = (np.interp(at, places, each) for each in (bias, own, shared))
     least = prediction.own + prediction.shared
