@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterable, Iterator
 from datetime import datetime
+from itertools import islice
 from pathlib import Path
 
 from camctl.errors import CamctlError
@@ -43,18 +45,23 @@ def list_captures(parent: Path) -> tuple[Past, ...]:
     if not parent.is_dir():
         return ()
     folders = sorted(parent.iterdir(), key=lambda path: (_number(path.name), path.name))
-    found: list[Path] = []
-    for folder in reversed(folders):
+    shown = islice(_captures(reversed(folders)), _MOST_LISTED)
+    return tuple(Past(str(folder.relative_to(parent)), complete) for folder, complete in shown)
+
+
+def _captures(folders: Iterable[Path]) -> Iterator[tuple[Path, bool]]:
+    """Yield each capture of the folders, and whether nothing of it is missing."""
+    for folder in folders:
         series, report = folder / SERIES, folder / REPORT
         if series.is_file():
-            if not _is_complete(series):
-                found.append(series)
             reports = sorted(folder.glob(f"*/{REPORT}"), reverse=True)
-            report = next(filter(_is_complete, reports), report)
-        if report.is_file():
-            found.append(report)
-    shown = found[:_MOST_LISTED]
-    return tuple(Past(str(each.parent.relative_to(parent)), _is_complete(each)) for each in shown)
+            sets = ((each.parent, _is_complete(each)) for each in reports)
+            if not _is_complete(series):
+                yield folder, False
+                sets = (each for each in sets if each[1])
+            yield from islice(sets, 1)
+        elif report.is_file():
+            yield folder, _is_complete(report)
 
 
 def _number(name: str) -> int:
