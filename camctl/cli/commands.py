@@ -162,6 +162,9 @@ class Command(click.Command):
         own = {name for each in self.params for name in each.opts}
         words = iter(args)
         for word in words:
+            if word == "--":
+                yield from (word, *words)
+                return
             name, equals, value = word.partition("=")
             option, setting = _AS_SETTINGS.get(name, ("", ""))
             if name in own or option not in own:
