@@ -159,8 +159,9 @@ def combine(
     if method != "sum":
         shown = known or _noise_of_all_light(light, kind)
         is_one_wrong = any("colour" in each.details for each in findings)  # its level is the cause
-        compared = parts, relative, shown, samples, black, few_chroma_samples
-        marked = _contradictions(found.mask, pictures, *compared)
+        marked = _contradictions(
+            found.mask, pictures, parts, relative, shown, samples, black, few_chroma_samples
+        )
         findings += () if is_one_wrong else marked
     if (unknown := float(np.isnan(found.sd).mean())) > 0:
         findings.append(Finding(code="noise_unknown", value=unknown))
@@ -286,8 +287,9 @@ def _contradictions(
 ) -> list[Finding]:
     """Mark where frames contradict each other, and return what there is to know about it."""
     ratios, findings = _ratios(parts, exposures, noise, samples, black)
-    compared = parts, exposures, noise, samples, black, ratios, few_chroma_samples
-    for movement, view in _movements(pictures, *compared):
+    for movement, view in _movements(
+        pictures, parts, exposures, noise, samples, black, ratios, few_chroma_samples
+    ):
         marks = view(mask)
         marks |= movement.rows(0, len(marks)) * np.uint8(CONTRADICTING)
         findings += movement.found.findings

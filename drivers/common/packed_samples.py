@@ -52,4 +52,6 @@ def used_bits(pixels: Pixels, stated: int | None = None) -> int:
         return 16
     together = int(np.bitwise_or.reduce(pixels, axis=None))
     found = 17 - (together & -together).bit_length()
-    return found if stated is None else stated if found <= stated else 16
+    if stated is None:
+        return found
+    return stated if found <= stated else 16

@@ -13,8 +13,13 @@ from typing import Any
 
 #: Types of fields, by the letters of the module `struct`; a field without one is a u32.
 _TYPES: Mapping[str, Any] = {
-    **{"": ctypes.c_uint32, "I": ctypes.c_uint32, "i": ctypes.c_int32, "B": ctypes.c_uint8},
-    **{"H": ctypes.c_uint16, "Q": ctypes.c_uint64, "q": ctypes.c_int64},
+    "": ctypes.c_uint32,
+    "B": ctypes.c_uint8,
+    "H": ctypes.c_uint16,
+    "I": ctypes.c_uint32,
+    "Q": ctypes.c_uint64,
+    "i": ctypes.c_int32,
+    "q": ctypes.c_int64,
 }
 
 CAPTURE_BUFFER = 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE
